@@ -124,11 +124,11 @@ def off(found, site=Site(), number=0):
     return found.value_m_per_px / true - 1.0, np.sqrt(found.variance) / true
 
 
-def check_right(found, site=Site()):
+def check_right(found, site=Site(), vague=0.05):
     """Focal length and scale are within their bands, which are narrow."""
     assert abs(found.focal_px - FOCAL_PX) < 3.0 * found.focal_std_px
     error, std = off(found.scales[0], site)
-    assert abs(error) < 3.0 * std < 0.05
+    assert abs(error) < 3.0 * std < vague
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,8 @@ def test_a_noise_density_that_is_declared_wrong_changes_little(share):
 
 def test_a_gyroscope_of_a_phone_is_enough_within_its_band():
     site = Site(1, density=float(np.radians(0.014)))
-    check_right(fit_gyroscope(*recorded(site)), replace(site))
+    # Its noise is 2.8 times as large, that of the scale factor 1.2 times.
+    check_right(fit_gyroscope(*recorded(site)), replace(site), vague=0.06)
 
 
 def test_two_targets_have_one_focal_length_and_scales_as_their_distances():

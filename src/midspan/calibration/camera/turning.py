@@ -30,6 +30,7 @@ MAX_CLIPPED = 0.01
 MIN_RATE_HZ = 20.0
 # The noise of readings is the least of this many bands between these shares of their rate: below is motion, above what
 # an anti-alias filter leaves.
+ALIKE = 4.0
 BANDS, FROM_SHARE, TO_SHARE = 3, 0.1, 0.4
 # Draws of the integrated noise; the same ones each time.
 DRAWS, SEED = 16, 1
@@ -61,13 +62,11 @@ class Turning:
 
     @cached_property
     def _spline(self) -> "CubicHermiteSpline":
-        from scipy.interpolate import CubicHermiteSpline
-
-        return CubicHermiteSpline(self.time_s, self.rate, np.gradient(self.rate, self.time_s))
+        return _through(self.time_s, self.rate)
 
     @cached_property
     def _integral(self) -> "PPoly":
-        return self._spline.antiderivative()
+        return _integrated(self.time_s, self.rate)
 
     def angle(self, time_s: Floats, exposure_s: float = 0.0) -> Floats:
         """The angle (m,), rad, the mean over an exposure about each instant (m,)."""
@@ -81,14 +80,14 @@ class Turning:
         return np.clip(time_s, self.time_s[0], self.time_s[-1])
 
     @cached_property
-    def _walks(self) -> Floats:
-        steps = np.diff(self.time_s, prepend=self.time_s[0])
-        drawn = np.random.default_rng(SEED).normal(0.0, 1.0, (DRAWS, len(steps)))
-        return np.asarray(np.cumsum(drawn * np.sqrt(self.density * steps), axis=1))
+    def _walks(self) -> "list[PPoly]":
+        # Integrated as the readings are: between two of them the integral is smoother than a random walk.
+        drawn = np.random.default_rng(SEED).normal(0.0, np.sqrt(self.density * self.rate_hz), (DRAWS, len(self.time_s)))
+        return [_integrated(self.time_s, one) for one in drawn]
 
     def walk(self, time_s: Floats, number: int) -> Floats:
         """A draw of the angle's noise at instants (m,), rad."""
-        return np.asarray(np.interp(time_s, self.time_s, self._walks[number]))
+        return np.asarray(self._walks[number](self._within(time_s)))
 
     def jumped(self, time_s: Floats, number: int) -> Floats:
         """1 (m,) after a gap and 0 before it: by how much the box has turned meanwhile is unknown."""
@@ -113,6 +112,16 @@ class Turning:
         per = 2.0 * self.rate_hz / n / (2.0 * np.pi * hertz[above]) ** 2
         noise = density * float(np.sum(per))
         return float(np.sqrt(max(float(power[above] @ per) - noise, 0.0))), float(np.sqrt(noise))
+
+
+def _through(time_s: Floats, value: Floats) -> "CubicHermiteSpline":
+    from scipy.interpolate import CubicHermiteSpline
+
+    return CubicHermiteSpline(time_s, value, np.gradient(value, time_s))
+
+
+def _integrated(time_s: Floats, value: Floats) -> "PPoly":
+    return _through(time_s, value).antiderivative()
 
 
 def _mean(function: "CubicHermiteSpline | PPoly", time_s: Floats, exposure_s: float) -> Floats:
@@ -213,10 +222,14 @@ def _reported(time_ns: Nanoseconds, time_s: Floats, gaps: Floats, held: int) -> 
 def noise_floor(value: Floats, rate_hz: float) -> float:
     """Density of the white noise of evenly spaced readings (n,), two-sided, in their unit squared per Hz.
 
-    The least of bands, each by the median of its ordinates: motion adds to white noise, lines do so in few ordinates.
+    Of bands, each by the median of its ordinates, those that may be as low as the least: motion adds to white noise,
+    lines do so in few ordinates.
     """
     n = len(value)
     window = np.hanning(n)
     power = np.abs(np.fft.rfft(window * (value - np.mean(value)))) ** 2 / (np.sum(window**2) * rate_hz)
     bands = np.array_split(power[int(FROM_SHARE * n) : int(TO_SHARE * n)], BANDS)
-    return float(min(np.median(band) for band in bands if len(band)) / np.log(2.0))
+    level = np.array([np.median(band) for band in bands if len(band)]) / np.log(2.0)
+    # A median of k exponential ordinates scatters by 1 / (ln 2 · √k) of itself; the least one of some lies low.
+    scatter = 1.0 / (np.log(2.0) * np.sqrt(min(len(band) for band in bands if len(band))))
+    return float(np.mean(level[level <= np.min(level) * (1.0 + ALIKE * scatter)]))
