@@ -115,7 +115,7 @@ def test_a_point_runs_a_method_as_printed(tmp_path, monkeypatch):
         ),
         (
             ('unit = "g"', 'unitt = "g"'),
-            r"accelerometer.unitt: is not a known key. Did you mean 'unit'\? Known: source, unit, rate_hz, noise_std,",
+            r"accelerometer.unitt: is not a known key. Did you mean 'unit'\? Known: source, rate_hz, unit, noise_std,",
         ),
         (('direction = "y"', 'direction = "xy"'), r"""accelerometer: must have source_x and source_y, one for each"""),
         (

@@ -140,7 +140,7 @@ def test_a_vehicle_in_a_quiet_minute_is_no_outlier(seed):
 def refusal(pair, max_offset_s=0.5):
     with pytest.raises(UntrustedError) as caught:
         calibrate_scale(pair, max_offset_s)
-    return str(caught.value)
+    return f"{caught.value} {caught.value.more}"
 
 
 def test_too_little_motion_is_refused_with_the_figures_and_what_to_do():

@@ -60,7 +60,7 @@ def tracked_camera(sensor, first_s, sees_from_s=None):
 
 
 def test_the_zero_of_a_camera_that_begins_dark_is_the_first_frame_that_either_sees():
-    main = SimpleNamespace(recording=SimpleNamespace(views=()))
+    main = SimpleNamespace(recording=SimpleNamespace(views=()), calibration=SimpleNamespace(auxiliary=()))
     infrared = tracked_camera("infrared", 2)
     assert zero_instant(main, (tracked_camera("camera", 34, sees_from_s=34), infrared), {}) == 3 * NANOSECONDS
     assert zero_instant(main, (tracked_camera("camera", 5), infrared), {}) == 6 * NANOSECONDS

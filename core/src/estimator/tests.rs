@@ -313,8 +313,8 @@ fn velocity_tilt_and_its_rate_are_a_row_each() {
     // The filter's velocity is ahead of the true one, and its slow error is carried to its last measurement only. Its
     // input is of fourth order, of straight lines here: a hundredth of a standard deviation.
     for j in (0..n).filter(|&j| ![1, tilt, rate].contains(&j)) {
-        assert!((best.x[(j, 0)] - plain.x[(j, 0)]).abs() <= 1e-2 * plain.p[(j, j)].sqrt(), "{j}");
-        assert!((best.p[(j, j)] - plain.p[(j, j)]).abs() <= 1e-6 * plain.p[(j, j)], "{j}");
+        assert!((best.x[(j, 0)] - plain.x[(j, 0)]).abs() <= 1e-2 * plain.p[(j, j)].sqrt());
+        assert!((best.p[(j, j)] - plain.p[(j, j)]).abs() <= 1e-6 * plain.p[(j, j)]);
     }
 }
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from midspan.errors import MidspanError
 from midspan.notices import Notice, rounded
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window
@@ -30,8 +31,11 @@ def other_channels(recording: Recording) -> tuple[Notice, ...]:
     own = recording.accelerometer
     if own.named_axes or own.cross_values:
         return ()
-    path = recording.path(own.file, "accelerometer.file")
-    found = list_channels(path)
+    try:
+        found = list_channels(recording.path(own.file, "accelerometer.file"))
+    except MidspanError:
+        # The acceleration has been put in the file's place.
+        return ()
     name = recording.acceleration.name
     if sum(one.size > MIN_VALUES for one in found.channels) < 2 or name not in found.names:
         return ()

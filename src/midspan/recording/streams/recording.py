@@ -38,6 +38,8 @@ from midspan.vision.frame_source import FrameSource
 
 # Share of the shortest stream by which its clock may be off where nothing else is said.
 MAX_OFFSET_SHARE = 0.2
+# Fewer targets show no six degrees of freedom.
+FEWEST_POSED = 3
 
 
 @contextmanager
@@ -301,7 +303,8 @@ class Recording:
 
     def by_pose(self) -> "Recording":
         """The same with its cameras calibrated by their poses where these are seen, for an estimate of this record."""
-        return self._with({}, posed=True)
+        camera = self.settings.first_camera
+        return self if camera is None or len(camera.target) < FEWEST_POSED else self._with({}, posed=True)
 
     def _with_cross(self, main: TimeSeries) -> PreparedAcceleration:
         """The main axis and the others, each bridged as its own."""
