@@ -32,7 +32,8 @@ def other_channels(recording: Recording) -> tuple[Notice, ...]:
     if own.named_axes or own.cross_values:
         return ()
     try:
-        found = list_channels(recording.path(own.file, "accelerometer.file"))
+        path = recording.path(own.file, "accelerometer.file")
+        found = list_channels(path)
     except MidspanError:
         # The acceleration has been put in the file's place.
         return ()

@@ -39,7 +39,7 @@ from midspan.vision.frame_source import FrameSource
 # Share of the shortest stream by which its clock may be off where nothing else is said.
 MAX_OFFSET_SHARE = 0.2
 # Fewer targets show no six degrees of freedom.
-FEWEST_POSED = 3
+MIN_POSED = 3
 
 
 @contextmanager
@@ -304,7 +304,7 @@ class Recording:
     def by_pose(self) -> "Recording":
         """The same with its cameras calibrated by their poses where these are seen, for an estimate of this record."""
         camera = self.settings.first_camera
-        return self if camera is None or len(camera.target) < FEWEST_POSED else self._with({}, posed=True)
+        return self if camera is None or len(camera.target) < MIN_POSED else self._with({}, posed=True)
 
     def _with_cross(self, main: TimeSeries) -> PreparedAcceleration:
         """The main axis and the others, each bridged as its own."""
