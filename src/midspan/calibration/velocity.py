@@ -13,6 +13,7 @@ from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
 from midspan.errors import UntrustedError
 from midspan.records import Floats, TimeOffset, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 
 # Length of the running mean, s: below its inverse the acceleration's drift exceeds a vibrometer's.
 MEAN_S = 2.0
@@ -20,8 +21,6 @@ MEAN_S = 2.0
 MIN_VALUES = 50
 # The velocity must be the integrated acceleration to this share, and as certain as this many standard deviations.
 MAX_GAIN, CERTAIN = 0.2, 5.0
-# Robust standard deviation over the median of the absolute.
-MEDIAN_TO_STD = 1.4826
 # A vibrometer's zero drifts by this share of its noise in a second, as a random walk.
 WALK_SHARE = 0.1
 
@@ -90,7 +89,7 @@ def fit_velocity(
         )
     # From value to value the integrated acceleration hardly drifts.
     steps = np.diff(found.measured - found.integrated)
-    noise = noise_std or float(MEDIAN_TO_STD * np.median(np.abs(steps)) / np.sqrt(2.0))
+    noise = noise_std or float(SIGMA_OF_MEDIAN * np.median(np.abs(steps)) / np.sqrt(2.0))
     offset = TimeOffset(offset_s, offset_std_s**2)
     return AuxiliaryCalibration("velocity", noise, offset, np.inf, (WALK_SHARE * noise) ** 2)
 

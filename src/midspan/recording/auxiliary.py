@@ -4,17 +4,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from midspan.calibration.camera.geometry import FOCAL_STD
 from midspan.calibration.camera.gyroscope import GyroscopeFit
 from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
 from midspan.calibration.velocity import fit_velocity
 from midspan.errors import UntrustedError, UsageError
-from midspan.recording.cameras import LENS_STD
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import within_window
 from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
 from midspan.settings.sensors import VelocitySettings
-from midspan.signals.acceleration import prepare_acceleration
+from midspan.signals.acceleration import GRAVITY_M_S2, prepare_acceleration
 from midspan.signals.attitude import Attitude, attitude
+from midspan.signals.medians import MEDIAN_DEVIATION
 from midspan.sources.accelerometer.units import si_factor
 from midspan.vision.lens import Lens
 
@@ -29,7 +30,6 @@ INCLINOMETER_STD, INCLINOMETER_S = 2e-5, 600.0
 MIN_ANGLE_STD = 1e-7
 # The axis along the view shows the pitch where the measured one carries this share of gravity at least.
 MIN_UPRIGHT = 0.5
-USUAL_GRAVITY = 9.81
 
 
 def calibrate_auxiliary(
@@ -73,7 +73,7 @@ def _inclinometer(recording: Recording, lens: Lens | None) -> list[AuxiliaryCali
             "inclinometer: needs the focal length, by which a tilt moves the image. Add [camera.lens], or [gyroscope]."
         )
     focal_px = float(lens.matrix["xy".index(recording.axis)])
-    return [_of_inclinometer(recording, focal_px, LENS_STD * focal_px)]
+    return [_of_inclinometer(recording, focal_px, FOCAL_STD * focal_px)]
 
 
 def _of_inclinometer(recording: Recording, focal_px: float, focal_std_px: float) -> AuxiliaryCalibration:
@@ -84,7 +84,7 @@ def _of_inclinometer(recording: Recording, focal_px: float, focal_std_px: float)
         noise = given * si_factor(section.unit or series.unit, "angle", None)
     else:
         steps = np.diff(series.value[np.isfinite(series.value)], 2)
-        noise = max(float(np.median(np.abs(steps)) / 0.6745 / np.sqrt(6.0)), MIN_ANGLE_STD)
+        noise = max(float(np.median(np.abs(steps)) / MEDIAN_DEVIATION / np.sqrt(6.0)), MIN_ANGLE_STD)
     walk = 2.0 * INCLINOMETER_STD**2 / INCLINOMETER_S
     return AuxiliaryCalibration(
         "inclinometer", noise, TimeOffset(0.0, 0.0), np.inf, walk, focal_px=focal_px, focal_std_px=focal_std_px
@@ -112,7 +112,7 @@ def _gravity(recording: Recording, gyroscope: AuxiliaryCalibration) -> Attitude 
     # A rotation about the image's x axis adds to z what the y axis carries of gravity, less its sign; about -y the
     # x axis.
     upright = -float(np.nanmean(own[recording.axis].value))
-    if abs(upright) < MIN_UPRIGHT * USUAL_GRAVITY:
+    if abs(upright) < MIN_UPRIGHT * GRAVITY_M_S2:
         return None
     along = prepare_acceleration(own["z"], "accelerometer along the view")
     time_ns = rate.time_ns + round(NANOSECONDS * gyroscope.offset.value_s)

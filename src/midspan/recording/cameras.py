@@ -8,6 +8,7 @@ import numpy as np
 
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
+from midspan.calibration.camera.geometry import FOCAL_STD
 from midspan.calibration.camera.gyroscope import GyroscopeFit, fit_gyroscope
 from midspan.calibration.camera.tilt import apart
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
@@ -30,9 +31,6 @@ from midspan.sources.accelerometer.units import si_factor
 from midspan.sources.thermal.temperatures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
 from midspan.vision.region_choice import Judge
-
-# Relative standard deviation of a lens's focal length: focusing changes it by some per mille.
-LENS_STD = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +287,7 @@ def _gyroscope_fit(
     bias_std = None if section.bias_std is None else factor * section.bias_std
     lens = seen[0].lens
     focal_px = None if lens is None else float(lens.matrix["xy".index(view.axis)])
-    known = None if focal_px is None else (focal_px, LENS_STD * focal_px)
+    known = None if focal_px is None else (focal_px, FOCAL_STD * focal_px)
     try:
         found = fit_gyroscope(view, seen, series, parts, noise_density=density, bias_std=bias_std, focal_px=known)
     except UntrustedError as error:

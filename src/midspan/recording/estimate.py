@@ -49,6 +49,7 @@ from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import (
+    left_out,
     no_overlap,
     refuse_rejections,
     refuse_run_away,
@@ -385,11 +386,6 @@ def refuse_followed(first: FirstPass, wrong: Mapping[str, WrongValues]) -> None:
             )
 
 
-def left_out(side: Side, error: UntrustedError) -> Notice:
-    """Why the second axis is left out of the result."""
-    return Notice("part-left-out", f"The second axis {side.recording.axis} is left out of the result. {error}")
-
-
 def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checked:
     """What the whole record says of a given calibration; ran: how the sensors' clocks ran."""
     stated = tuple(stated_scale_std(first, axis) for axis in range(len(first.sides)))
@@ -413,7 +409,7 @@ def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checke
             if axis == 0:
                 raise
             omitted = True
-            warnings.append(left_out(side, error))
+            warnings.append(left_out(side.recording, error))
             continue
         warnings += fits.warnings
         found[axis] = stated[axis] | fits.scale_std
@@ -597,7 +593,7 @@ def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool
     try:
         refuse_rejections(view, found.innovations[1])
     except UntrustedError as error:
-        return False, [left_out(first.sides[1], error)]
+        return False, [left_out(first.sides[1].recording, error)]
     reported = event_warnings(tuple(event for event in found.events if event.axis == 1))
     reported = [line.worded(f"Along {view.axis}: {line}") for line in reported]
     return True, reported + shares(found.innovations[1], found.rows[1], f" along {view.axis}")

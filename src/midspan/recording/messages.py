@@ -28,6 +28,11 @@ def uncalibrated(recording: Recording, calibration: Calibration) -> list[Notice]
     return [Notice("part-left-out", text.format(name)) for name in missing]
 
 
+def left_out(across: Recording, error: UntrustedError) -> Notice:
+    """Why the second axis is left out of the result."""
+    return Notice("part-left-out", f"The second axis {across.axis} is left out of the result. {error}")
+
+
 def require_same_sensors(recording: Recording, calibration: Calibration) -> None:
     """UsageError for a calibration of other sensors, of another axis, or of a radar in another way; DataError where the
     streams do not overlap.
