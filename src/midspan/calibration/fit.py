@@ -80,7 +80,9 @@ class Pair:
     forgets, and the angular frequency of an oscillator (0: first-order Gauss-Markov).
     cross: acceleration (n, k) of the accelerometer's other axes at the samples, without its means (k,), and these; None
     once the samples are along the sensor's axis (see `direction`).
-    logger, lean: see `frequency_response`; what leaning takes from the acceleration is in the samples again.
+    logger, lean, sight: see `frequency_response`; what leaning takes from the acceleration is in the samples again.
+    seen (m,): what another target of a camera that tilts moves by (px) in the frames of the rows, NaN where unknown;
+    None: nothing shows a tilt.
     bias_drifts: whether the accelerometer's bias drifts at one rate, which is taken out: it is no noise.
     level: relative level (n,) of the accelerometer's noise at the samples, of mean 1, where that changes; None: one.
     lines: narrow ones of the acceleration that are no motion.
@@ -97,6 +99,8 @@ class Pair:
     slow: tuple[float, float, float] = NO_SLOW_ERROR
     logger: tuple[float, float] = (0.0, 0.0)
     lean: float = 0.0
+    sight: float = 0.0
+    seen: Floats | None = None
     cross: tuple[Floats, Floats] | None = None
     bias_drifts: bool = False
     level: Floats | None = None

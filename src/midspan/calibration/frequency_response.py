@@ -1,16 +1,18 @@
 """What makes the ratio of translation and acceleration depend on frequency: removed where it shows, else in σ.
 
-A calibration has one ratio s of the translation p and the acceleration integrated twice, D. Four shapes make it a
+A calibration has one ratio s of the translation p and the acceleration integrated twice, D. Five shapes make it a
 smooth function of frequency:
 
     exposure T        p = s · mean of D over T         falls with the frequency's square, later as a sinc
     resonance c, q    p = s (D + c D'' + q D''')       falls with the frequency's square
     lean gκ           u = D + gκ ∬u                    rises, most at low frequencies
+    sight a           u = D + gκ ∬u + a ∬T             as the tilt that the camera sees
     logger q, r       u = D + q D''' − r D''           delay and ratio rise with the frequency's square
 
 The exposure is the camera's, or its rows are read one after the other; only its mean over the frame's interval is
 without doubt. A tower leans by κ radians for each metre that it moves, so that gravity takes gκ u from the acceleration
-of its horizontal axis. A logger's low-pass delays fast motion more than slow motion, whose delay is a clock offset, and
+of its horizontal axis. Its modes have slopes of their own. Where the camera sees the tilt (its targets move by T px that
+do not go with u), gravity takes a T more, with a = ± g over the focal length (px) of a view up or down. A logger's low-pass delays fast motion more than slow motion, whose delay is a clock offset, and
 may weaken it. A bracket or railing below the accelerometer that resonates at ω = 1/√c with a damping ratio ζ makes it
 feel fast motion too strongly: inverted, its transmissibility is 1 − r² / (1 + 2jζ r) = 1 − r² + 2jζ r³ + … with
 r = frequency over resonance, so that q = −2ζ c^(3/2) (A. K. Chopra, Dynamics of structures, section 3.6).
@@ -47,6 +49,7 @@ from midspan.calibration.whitening import Response, Whitened, integrated, invers
 from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.signals.acceleration import GRAVITY_M_S2
+from midspan.signals.health import dominant_frequency
 
 # Standard deviation of an exposure that is neither declared nor shown by the motion: 1/50 s, the longest of ordinary
 # video under light from the mains. It is the frame's interval where that is shorter.
@@ -56,6 +59,15 @@ USUAL_EXPOSURE_S = 0.02
 USUAL_SLOPE = 0.02
 # Steeper slopes are none: a cantilever of 9 m.
 MAX_SLOPE = 0.15
+# A cantilever's second mode has its first one's slope times this, with the other sign (Chopra, section 17.3): the
+# standard deviation of what faster modes differ by. They are above the first one's frequency times the other.
+MODE_SLOPE, MODE_CORNER = 2.5, 2.5
+# What is slower than the motion by this is judged by sines, of this number at most.
+SLOWER, MAX_WAVES = 0.5, 10
+# The camera's tilt moves the image by this many px a radian at least: a wide lens.
+MIN_FOCAL_PX = 300.0
+# The same where nothing is known of it: a phone's lens.
+USUAL_FOCAL_PX = 2000.0
 # An accelerometer that reads this much all the time, m/s², is upright: gravity's share goes with its tilt squared.
 VERTICAL_M_S2 = 9.0
 # Gain in the logarithm of the likelihood from which a kind counts as found: chance alone reaches it in one of two
@@ -98,30 +110,67 @@ class Kind(IntEnum):
     LAG = 2
     DROOP = 3
     RESONANCE = 4
+    SIGHT = 5
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What the camera alone shows at the samples: displacement (n,) in m, tilt besides (n,) in px or None."""
+
+    moved_m: Floats
+    tilted_px: Floats | None
+
+    def integrated(self, samples: Floats) -> "_Integrated":
+        """As accelerations at samples (n, 3)."""
+
+        def twice(values: Floats) -> Response:
+            return integrated(np.column_stack((samples[:, 0], values, samples[:, 2])))
+
+        return _Integrated(twice(self.moved_m), None if self.tilted_px is None else twice(self.tilted_px))
+
+
+@dataclass(frozen=True, slots=True)
+class _Integrated:
+    moved: Response
+    tilted: Response | None
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
     """One kind: its column at times (s), the pair with its number changed, and whether that may be.
 
-    column: by the pair and the response to the displacement of the translation alone; changed: with that displacement
-    (n,) at the samples; possible: exposure, slope, droop and resonance are positive, and no more than they can be.
+    column: by the pair and what the camera alone shows, integrated; changed: with that at the samples; possible:
+    exposure, slope, droop and resonance are positive, and no more than they can be.
     """
 
-    column: Callable[[Pair, Response, Floats], Floats]
-    changed: Callable[[Pair, float, Floats], Pair]
+    column: Callable[[Pair, "_Integrated", Floats], Floats]
+    changed: Callable[[Pair, float, "_Seen"], Pair]
     possible: Callable[[Pair, float], bool]
 
 
-def _exposed(pair: Pair, change: float, _: Floats) -> Pair:
+def _exposed(pair: Pair, change: float, _: _Seen) -> Pair:
     square = max(pair.exposure_s**2 + 24.0 * change, 0.0)
     return pair.changed(exposure_s=min(float(np.sqrt(square)), 1.0 / pair.rate_hz))
 
 
-def _leaning(pair: Pair, change: float, moved_m: Floats) -> Pair:
+def _with_acceleration(pair: Pair, more: Floats, **fields: float) -> Pair:
     samples = pair.samples.copy()
-    samples[:, 1] += change * moved_m
-    return pair.changed(samples=samples, lean=pair.lean + change)
+    samples[:, 1] += more
+    return pair.changed(samples=samples, **fields)
+
+
+def _leaning(pair: Pair, change: float, seen: _Seen) -> Pair:
+    return _with_acceleration(pair, change * seen.moved_m, lean=pair.lean + change)
+
+
+def _sighted(pair: Pair, change: float, seen: _Seen) -> Pair:
+    assert seen.tilted_px is not None
+    return _with_acceleration(pair, change * seen.tilted_px, sight=pair.sight + change)
+
+
+def _tilted(seen: _Integrated, time_s: Floats) -> Floats:
+    assert seen.tilted is not None
+    return seen.tilted.at(time_s)
 
 
 def _logged(pair: Pair, square: float, cube: float) -> Pair:
@@ -135,7 +184,7 @@ TERMS = {
         lambda pair, change: 0.0 < pair.exposure_s**2 + 24.0 * change <= 1.0 / pair.rate_hz**2,
     ),
     Kind.LEAN: Term(
-        lambda _, moved, time_s: moved.at(time_s),
+        lambda _, seen, time_s: seen.moved.at(time_s),
         _leaning,
         lambda pair, change: 0.0 < pair.lean + change < GRAVITY_M_S2 * MAX_SLOPE,
     ),
@@ -154,11 +203,17 @@ TERMS = {
         lambda pair, change, _: _logged(pair, change, 0.0),
         lambda pair, change: 0.0 < pair.logger[0] + change < (2.0 * np.pi * MIN_RESONANCE_HZ) ** -2,
     ),
+    Kind.SIGHT: Term(
+        lambda _, seen, time_s: _tilted(seen, time_s),
+        _sighted,
+        lambda pair, change: abs(pair.sight + change) < GRAVITY_M_S2 / MIN_FOCAL_PX,
+    ),
 }
 # What is compared, each as a whole.
 SHAPES = (
     (Kind.EXPOSURE,),
     (Kind.LEAN,),
+    (Kind.SIGHT, Kind.LEAN),
     (Kind.LAG,),
     (Kind.DROOP,),
     (Kind.LAG, Kind.DROOP),
@@ -286,21 +341,27 @@ class Regression:
 class _Columns:
     """A pair at the offset of a fit with one column for each kind; whitened once at each corner frequency."""
 
-    def __init__(self, pair: Pair, fit: Fit) -> None:
-        samples = pair.samples.copy()
-        samples[:, 1] = self.moved_m = _moved_m(pair, fit)
-        moved = integrated(samples)
+    def __init__(
+        self, pair: Pair, fit: Fit, *, slow: bool = False, waves: Sequence[Callable[[Floats], Floats]] = ()
+    ) -> None:
+        self.seen = _seen(pair, fit)
+        if slow:
+            self.seen = replace(self.seen, moved_m=_slow(self.seen.moved_m, pair.sample_rate_hz))
+        twice = self.seen.integrated(pair.samples)
 
         def column(kind: Kind) -> Callable[[Floats], Floats]:
-            return lambda time_s: TERMS[kind].column(pair, moved, time_s)
+            return lambda time_s: TERMS[kind].column(pair, twice, time_s)
 
         self._pair = pair
-        here = aligned(pair, fit.offset_s, *(column(kind) for kind in Kind))
+        able = [kind for kind in Kind if kind is not Kind.SIGHT or pair.seen is not None]
+        first = FIRST + len(able)
+        self._waves = tuple(range(first, first + len(waves)))
+        here = aligned(pair, fit.offset_s, *(column(kind) for kind in able), *waves)
         self.whitened = lru_cache(kept(here.columns.rows))(here.whitened)
 
     def regressed(self, known: Sequence[Kind]) -> Regression:
         """The most likely regression on the columns of some kinds."""
-        free = _free(known)
+        free = (*_free(known), *self._waves)
         corner = likeliest_corner(self._pair, lambda one: _at(self.whitened(one), free, one).likelihood)
         w = self.whitened(corner)
         found = _at(w, free, corner)
@@ -311,13 +372,22 @@ def _free(known: Sequence[Kind]) -> tuple[int, ...]:
     return (RESPONSE, VELOCITY, *(FIRST + kind for kind in known))
 
 
-def _moved_m(pair: Pair, fit: Fit) -> Floats:
-    """The displacement (n,) at the samples by the translation alone, about its mean; beyond its ends as there."""
+def _seen(pair: Pair, fit: Fit) -> _Seen:
+    """What the camera shows at the samples, about its mean; beyond its ends as there."""
     from scipy.interpolate import CubicSpline
 
-    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
-    time_s = np.clip(pair.samples[:, 0], rows[0, 0] + fit.offset_s, rows[-1, 0] + fit.offset_s)
-    return np.asarray((CubicSpline(rows[:, 0] + fit.offset_s, rows[:, 1])(time_s) - rows[:, 1].mean()) / fit.ratio)
+    def at_samples(values: Floats) -> Floats:
+        used = np.isfinite(pair.rows[:, 2]) & np.isfinite(values)
+        own_s = pair.rows[used, 0] + fit.offset_s
+        time_s = np.clip(pair.samples[:, 0], own_s[0], own_s[-1])
+        return np.asarray(CubicSpline(own_s, values[used])(time_s) - values[used].mean())
+
+    moved_m = np.asarray(at_samples(pair.rows[:, 1]) / fit.ratio)
+    if pair.seen is None:
+        return _Seen(moved_m, None)
+    tilted_px = at_samples(pair.seen)
+    # What goes with the displacement is the slope's.
+    return _Seen(moved_m, tilted_px - float(tilted_px @ moved_m) / float(moved_m @ moved_m) * moved_m)
 
 
 def _at(w: Whitened, free: tuple[int, ...], corner: float) -> Regression:
@@ -358,7 +428,9 @@ def kinds_of(pair: Pair, *, exposure_declared: bool) -> tuple[Kind, ...]:
         return ()
     excluded = {Kind.EXPOSURE} if exposure_declared else set[Kind]()
     if abs(pair.level_m_s2) > VERTICAL_M_S2:
-        excluded.add(Kind.LEAN)
+        excluded |= {Kind.LEAN, Kind.SIGHT}
+    if pair.seen is None:
+        excluded.add(Kind.SIGHT)
     return tuple(kind for kind in Kind if kind not in excluded)
 
 
@@ -405,6 +477,8 @@ def with_response(
         if explained.known:
             # One shape usually is the cause; what another does to the ratio may be a flaw of the first one.
             doubts.append(best.fit.ratio / fit.ratio - 1.0)
+        if Kind.LEAN in best.more and Kind.SIGHT not in best.more:
+            doubts.append(_lean_doubt(pair, fit, (*explained.known, *best.more)))
         pair, fit = best.pair, best.fit
         taken = [*explained.known, *best.more]
         explained = replace(explained, pair=pair, known=taken, doubt=float(np.linalg.norm(doubts)))
@@ -490,6 +564,37 @@ def _doubt(best: _Candidate, others: Sequence[_Candidate]) -> float:
     return float(np.sqrt(sum(a**2 * o / (1.0 + o) for a, o in zip(apart, odds, strict=True))))
 
 
+def _lean_doubt(pair: Pair, fit: Fit, known: Sequence[Kind]) -> float:
+    """How far (relative, rms) the ratio would be another with slopes of faster modes that are not the slowest one's,
+    and with any tilt that is slower than the motion, as by the sun.
+    """
+    own_hz = dominant_frequency(_seen(pair, fit).moved_m, pair.sample_rate_hz)
+    others = (_Columns(pair, fit), _Columns(pair, fit, slow=True), _Columns(pair, fit, waves=_waves(pair, own_hz)))
+    alike, slowest, free = (one.regressed(known).coefficients[0] for one in others)
+    return float(np.hypot(MODE_SLOPE * (slowest / alike - 1.0), free / alike - 1.0))
+
+
+def _waves(pair: Pair, motion_hz: float) -> list[Callable[[Floats], Floats]]:
+    """Sines and cosines that are slower than the motion."""
+    first_s, length_s = pair.samples[0, 0], pair.samples[-1, 0] - pair.samples[0, 0]
+    count = min(int(SLOWER * motion_hz * length_s), MAX_WAVES)
+
+    def wave(k: int, function: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
+        return lambda time_s: function(2.0 * np.pi * k * (time_s - first_s) / length_s)
+
+    return [wave(k, function) for k in range(1, count + 1) for function in (np.sin, np.cos)]
+
+
+def _slow(moved_m: Floats, rate_hz: float) -> Floats:
+    """The part of a displacement (n,) in its slowest mode."""
+    from scipy.signal import butter, sosfiltfilt
+
+    corner_hz = MODE_CORNER * dominant_frequency(moved_m, rate_hz)
+    if not 0.0 < corner_hz < 0.5 * rate_hz:
+        return moved_m
+    return np.asarray(sosfiltfilt(butter(2, corner_hz, fs=rate_hz, output="sos"), moved_m))
+
+
 def settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
     """The pair without the most likely values of some kinds, and its fit, near that of the pair with them."""
     most_s = MAX_LATE / pair.rate_hz
@@ -498,7 +603,7 @@ def settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
         found = columns.regressed(known)
         steps = [found.of(FIRST + kind) for kind in known]
         for kind, (change, _) in zip(known, steps, strict=True):
-            pair = TERMS[kind].changed(pair, change, columns.moved_m)
+            pair = TERMS[kind].changed(pair, change, columns.seen)
         late_s = float(np.clip(found.of(VELOCITY)[0], -most_s, most_s))
         fit = best_corner(pair, fit.offset_s + late_s, found.corner)
         if all(abs(change) < LAST_STEP * std for change, std in steps):
@@ -552,6 +657,7 @@ def response_of(
     usual = {
         Kind.EXPOSURE: min(USUAL_EXPOSURE_S, 1.0 / pair.rate_hz) ** 2 / 24.0,
         Kind.LEAN: GRAVITY_M_S2 * USUAL_SLOPE,
+        Kind.SIGHT: GRAVITY_M_S2 / USUAL_FOCAL_PX,
     }
 
     def variances(free: Sequence[Kind], std: float | None = None) -> Floats:

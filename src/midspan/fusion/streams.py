@@ -53,7 +53,8 @@ class KalmanSettings:
     bias: expected bias before the first measurement, m/s² (the mean of the first samples is good).
     coasting_s: age of the last accepted measurement beyond which a row is `coasting`; lost_s: beyond which it is
     `lost`. rates: how often measurements are wrong in which way. noise_memory: measurements over which each source's
-    noise is followed where it is other than declared; infinite: it is taken as declared.
+    noise is followed where it is other than declared; infinite: it is taken as declared. lean: acceleration that
+    leaning takes per metre of displacement, 1/s².
     """
 
     bias_walk: float = 1e-8
@@ -65,6 +66,7 @@ class KalmanSettings:
     lost_s: float = 10.0
     rates: Rates = field(default_factory=Rates)
     noise_memory: float = 100.0
+    lean: float = 0.0
 
     def estimator(self, sources: Sequence[int]) -> EstimatorSettings:
         """The estimator's settings for measurements of these sources: their channels in this order.
@@ -82,6 +84,7 @@ class KalmanSettings:
             displacement_std_m=self.displacement_std,
             rates=self.rates,
             noise_memory=self.noise_memory,
+            lean=(self.lean,),
         )
         return replace(settings, noise_weight=AS_DECLARED) if np.isinf(self.noise_memory) else settings
 

@@ -18,7 +18,7 @@ from midspan.records import Acceleration, TimeOffset
 from midspan.settings.kinds import CAMERAS
 from midspan.settings.messages import in_words_of
 from midspan.settings.stored.calibration import Calibration
-from midspan.signals.acceleration import PreparedAcceleration, still
+from midspan.signals.acceleration import GRAVITY_M_S2, PreparedAcceleration, still
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
     prepared = recording.prepared if camera is None or camera.fused else still(recording.prepared)
     density = calibration.noise_density(prepared.rate_hz)
     gain = calibration.accelerometer_scale
-    kalman = filter_settings(prepared, density, calibration.bias_m_s2 / gain)
+    kalman = filter_settings(prepared, density, calibration.bias_m_s2 / gain, GRAVITY_M_S2 * calibration.slope)
     own = prepared.with_noise(density, calibration.motion_noise_s)
     acceleration = Acceleration(own.time_ns, own.value_m_s2 / gain, own.noise_density / gain**2)
     return Side(recording, calibration, prepared, acceleration, kalman)

@@ -13,6 +13,7 @@ from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, seconds
 from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.integrate import path
 from midspan.thermal.temperature_range import DIVISIONS, ROUGH, THINNED, Expected, RangeSurface, optimise_range
 from midspan.vision.tracker import open_tracker
@@ -107,7 +108,7 @@ def _expected_px(view: View, targets: Sequence[SeenTarget], fit: CameraFit, fram
     acceleration = view.prepared.with_noise(fit.input_noise.density, fit.input_noise.motion_s)
     used = [target for target in targets if target.region == camera.region]
     block = camera_blocks(used, camera, acceleration)[0]
-    kalman = filter_settings(view.prepared, fit.input_noise.density)
+    kalman = filter_settings(view.prepared, fit.input_noise.density, lean=GRAVITY_M_S2 * fit.slope)
     weak = type(block)(block.time_ns, block.value_m, WEAKER * block.variance_m2, block.source)
     path = smooth(acceleration, weak, kalman).estimate
     stamps = frames_ns + round(NANOSECONDS * camera.offset.value_s)

@@ -23,6 +23,7 @@ from midspan.calibration.camera.difference import Course, share_in
 from midspan.calibration.camera.disagreement import SAME_DISTANCE
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, filter_settings, scale_of
 from midspan.calibration.common_offset import Fitted
+from midspan.calibration.frequency_response import Kind
 from midspan.calibration.scale import MIN_GAIN, ScaleCalibration
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
@@ -110,8 +111,9 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
     pair, found, errors = sharpest
     count = len(found.search.fit.whitened.variance)
     single = [count * np.log(_error_m(one) / _error_m(found)) for one in fit.used]
-    certain = False
-    if not _are_apart(*(targets[k] for k in pair)) and any(gain < MIN_GAIN for gain in single):
+    # Gravity in the acceleration goes with nothing else that two targets have in common.
+    certain = Kind.SIGHT in found.response.known
+    if not certain and not _are_apart(*(targets[k] for k in pair)) and any(gain < MIN_GAIN for gain in single):
         certain = is_certain()
         if not certain:
             return None
@@ -201,7 +203,8 @@ def _sharpest(
     errors = dict.fromkeys(combinations(range(len(targets)), 2), np.inf)
     for i, k in errors:
         try:
-            one = scale_of(view, camera_pair(view, apart(targets[i].rows, targets[k].rows), targets[i].blur_s))
+            track, other = apart(targets[i].rows, targets[k].rows), targets[k].rows
+            one = scale_of(view, camera_pair(view, track, targets[i].blur_s, other=other))
         except UntrustedError:
             continue
         noise_px = np.hypot(_noise_px(targets[i], view.axis, 1.0), _noise_px(targets[k], view.axis, 1.0))
@@ -235,7 +238,7 @@ def _compared(view: View, targets: Sequence[SeenTarget], pair: tuple[int, int], 
     source = np.full(len(value), Source.CAMERA, dtype=np.uint8)
     block = Displacement(time_ns, scale * value, scale**2 * found.variance_factor * variance, source)
     acceleration = view.prepared.with_noise(found.input_noise.density, found.input_noise.motion_s)
-    kalman = filter_settings(view.prepared, found.input_noise.density)
+    kalman = filter_settings(view.prepared, found.input_noise.density, lean=found.search.pair.lean)
     path = smooth(acceleration, block, kalman).estimate
     window = inside(time_ns, *view.window_ns)
     moved = at(path, time_ns[window])[0]

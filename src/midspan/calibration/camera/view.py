@@ -138,10 +138,13 @@ class SeenTarget:
         return 0.0 if self.picture is None else self.picture.relative_scale_std(direction)
 
 
-def camera_pair(view: View, track: PixelTrack, blur_s: float, *, beyond: bool = False) -> Pair:
+def camera_pair(
+    view: View, track: PixelTrack, blur_s: float, *, beyond: bool = False, other: PixelTrack | None = None
+) -> Pair:
     """A target's translation along the axis, its stamps later by `late_ns`, and the acceleration, in the window.
 
-    beyond: whether with what lies before and after the window, too, as where its clock is looked for there.
+    beyond: whether with what lies before and after the window, too, as where its clock is looked for there; other: a
+    target in the same frames that shows the camera's tilt.
     """
     first, last = view.window_ns
     if not len(track.time_ns):
@@ -160,7 +163,9 @@ def camera_pair(view: View, track: PixelTrack, blur_s: float, *, beyond: bool = 
     samples, outside = in_band(view.prepared.rows(first, window), view.band_hz)
     level, cross = view.prepared.level(window), view.prepared.cross_rows(window)
     ratio = None if view.scale is None else 1.0 / view.scale.value_m_per_px
-    return Pair(samples, rows, ratio, blur_s, outside, level_m_s2=level, cross=cross, lines=view.prepared.lines)
+    seen = None if other is None else other.along(view.axis)[0][inner]
+    lines = view.prepared.lines
+    return Pair(samples, rows, ratio, blur_s, outside, level_m_s2=level, cross=cross, lines=lines, seen=seen)
 
 
 def scale_of(view: View, pair: Pair, *, slow_errors: bool = True) -> ScaleCalibration:
@@ -292,10 +297,12 @@ def target_block(
     return replace(block, variance_m2=block.variance_m2 + more)
 
 
-def filter_settings(prepared: PreparedAcceleration, density: float, bias: float | None = None) -> KalmanSettings:
+def filter_settings(
+    prepared: PreparedAcceleration, density: float, bias: float | None = None, lean: float = 0.0
+) -> KalmanSettings:
     """First guesses for the filter: the bias (the mean when left out) and how well it is known.
 
-    density: of the acceleration's noise, (m/s²)²/Hz. Without any acceleration the motion is that noise, and its slow
+    density: of the acceleration's noise, (m/s²)²/Hz; lean: as of `KalmanSettings`. Without any acceleration the motion is that noise, and its slow
     part is left to the bias as it was when the density was estimated.
     """
     value = prepared.value_m_s2
@@ -304,5 +311,7 @@ def filter_settings(prepared: PreparedAcceleration, density: float, bias: float 
     noise = float(np.sqrt(density * prepared.rate_hz))
     # A mean over motion is off by some of the motion.
     return KalmanSettings(
-        bias=float(np.mean(value)) if bias is None else bias, bias_std=float(0.3 * np.std(value) + 10.0 * noise + 1e-4)
+        bias=float(np.mean(value)) if bias is None else bias,
+        bias_std=float(0.3 * np.std(value) + 10.0 * noise + 1e-4),
+        lean=lean,
     )
