@@ -1,6 +1,6 @@
-"""A footbridge's box that tilts: two targets at two distances, and one alone; what the look for a tilt costs.
+"""A box that tilts, on a footbridge and a tower: two targets at two distances, and one alone; what the look costs.
 
-Tracks of an exact pinhole that looks along the bridge, written here from closed forms; --quick: one draw of each row.
+Tracks of an exact pinhole, written here from closed forms; --quick: one draw of each row.
 """
 
 import sys
@@ -17,7 +17,7 @@ from benchmarks.table import goal, show
 from midspan.records import Floats
 
 FOCAL_PX, DURATION_S, LATE_S, APART_PX = 5000.0, 100.0, 0.114, 150.0
-MDEG, SLOPE = float(np.radians(1e-3)), float(np.pi / 45.0)
+MDEG, SLOPE, HEIGHT_M, GRAVITY = float(np.radians(1e-3)), float(np.pi / 45.0), 60.0, 9.81
 # Of the camera: noise of a frame, px, and frames a second.
 GOOD, USUAL = (0.003, 30.0), (0.01, 10.0)
 # Distances (m), camera, method, and the largest error (mm) without that of the zero; bounds are two to three quarters.
@@ -29,6 +29,8 @@ ROWS = (
     ((3.0, 10.0), GOOD, "kalman", 0.004),
     ((3.0, 10.0), USUAL, "kalman", 0.014),
 )
+# The same on a tower's top, looking down at its side and foot; nothing of it is declared.
+TOWER_ROWS = (((20.0, 60.0), GOOD, "smoother", 0.1), ((20.0, 60.0), USUAL, "smoother", 0.1))
 ALONE = (((3.0,), GOOD), ((3.0,), USUAL), ((10.0,), GOOD), ((10.0,), USUAL))
 INSIDE, ALONE_INSIDE, MAX_COST, TIMES = 0.93, 0.9, 1.3, 3
 
@@ -66,6 +68,10 @@ class Box:
         lean = lambda t: SLOPE * (0.6 * self.moved_m(t) + 0.4 * self.moved_m(t - 2.0))  # noqa: E731
         self.tilt = (lambda t: lean(t) + nods(t) + sun(t)) if tilts else np.zeros_like
 
+    def felt(self, t: Floats) -> Floats:
+        """What the accelerometer reads, m/s²."""
+        return self.moved_m(t, 2) + GRAVITY
+
     def seen_px(self, distance_m: float, y_px: float, at_s: Floats) -> Floats:
         """Where a target is seen, px below the optical axis."""
         below, angle = y_px * distance_m / FOCAL_PX + self.moved_m(at_s), self.tilt(at_s)
@@ -76,7 +82,7 @@ class Box:
         """The recording of targets one below the other."""
         folder.mkdir()
         at, met = np.arange(0.0, DURATION_S, 0.01), np.arange(0.5, DURATION_S - 0.5, 1.0 / rate_hz)
-        felt = self.moved_m(at, 2) + 9.81 + self.rng.normal(0.0, 1e-3, len(at))
+        felt = self.felt(at) + self.rng.normal(0.0, 1e-3, len(at))
         columns = {"time_s": met - LATE_S}
         for k, distance_m in enumerate(distances_m):
             end = "" if k == 0 else f"_target{k + 1}"
@@ -89,6 +95,23 @@ class Box:
             '[accelerometer]\nfile = "accel.csv"\nunit = "m/s^2"\n[camera]\nfile = "track.csv"\ndirection = "y"\n'
         )
         return folder
+
+
+class Top(Box):
+    """A box on a tower's top that looks down: each mode leans by its own slope, the sun besides."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.rng = rng
+        modes = (waves(rng, 0.24, 0.26, 8e-3), waves(rng, 1.48, 1.52, 0.3e-3), waves(rng, 0.003, 0.02, 5e-3, 8))
+        slopes, sun = (1.377 / HEIGHT_M, -4.78 / HEIGHT_M, 1.333 / HEIGHT_M), waves(rng, 0.004, 0.02, 3.0 * MDEG, 6)
+        self.moved_m = lambda t, order=0: sum(one(t, order) for one in modes)
+        # The view turns the other way.
+        self.tilt = lambda t: -sum(k * one(t) for k, one in zip(slopes, modes, strict=True)) - sun(t)
+
+    def felt(self, t: Floats) -> Floats:
+        """What the accelerometer reads, m/s²."""
+        return np.asarray(self.moved_m(t, 2) * np.cos(self.tilt(t)) + GRAVITY * np.sin(self.tilt(t)))
 
 
 def scored(box: Box, folder: Path, method: str) -> tuple[float, float, float]:
@@ -105,13 +128,14 @@ def main() -> None:
     """The table of two targets and of one, with goals; and what the look for a tilt costs where there is none."""
     seeds = (1,) if "--quick" in sys.argv else (1, 2)
     lines, verdicts = [], []
+    rows = [(Box, row) for row in ROWS] + [(Top, row) for row in TOWER_ROWS]
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
-        for distances, (noise_px, rate), method, limit in ROWS:
+        for kind, (distances, (noise_px, rate), method, limit) in rows:
             what = f"{' + '.join(f'{one:g}' for one in distances)} m, {noise_px:g} px, {rate:g}/s, {method}"
             found = []
             for seed in seeds:
-                box = Box(seed)
+                box = kind(seed)
                 folder = box.write(root / f"{what} {seed}".replace("/", " a "), distances, noise_px, rate)
                 found.append(scored(box, folder, method))
             rms, own, share = np.mean(found, axis=0)

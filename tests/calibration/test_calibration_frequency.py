@@ -5,7 +5,7 @@ import pytest
 
 from midspan.calibration.agreement import misfit
 from midspan.calibration.fit import Pair, best_corner, with_corner_doubt
-from midspan.calibration.frequency_response import Kind
+from midspan.calibration.frequency_shapes import Kind
 from midspan.calibration.own_noise import contradiction
 from midspan.calibration.scale import calibrate_scale
 from midspan.calibration.whitening import integrated

@@ -11,9 +11,10 @@ smooth function of frequency:
 
 The exposure is the camera's, or its rows are read one after the other; only its mean over the frame's interval is
 without doubt. A tower leans by κ radians for each metre that it moves, so that gravity takes gκ u from the acceleration
-of its horizontal axis. Its modes have slopes of their own. Where the camera sees the tilt (its targets move by T px that
-do not go with u), gravity takes a T more, with a = ± g over the focal length (px) of a view up or down. A logger's low-pass delays fast motion more than slow motion, whose delay is a clock offset, and
-may weaken it. A bracket or railing below the accelerometer that resonates at ω = 1/√c with a damping ratio ζ makes it
+of its horizontal axis; faster modes have slopes of their own. Where targets at two distances show the tilt, T is what
+they have in common (px) that does not go with u: gravity takes a T more, a = ± g over the focal length (px) where the
+camera looks up or down. A logger's low-pass delays fast motion more than slow motion, whose delay is a clock
+offset, and may weaken it. A bracket or railing below the accelerometer that resonates at ω = 1/√c with a damping ratio ζ makes it
 feel fast motion too strongly: inverted, its transmissibility is 1 − r² / (1 + 2jζ r) = 1 − r² + 2jζ r³ + … with
 r = frequency over resonance, so that q = −2ζ c^(3/2) (A. K. Chopra, Dynamics of structures, section 3.6).
 
@@ -37,15 +38,27 @@ attitude that follows, a lever arm) leaves the same slope.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
-from functools import lru_cache
 
 import numpy as np
 
-from midspan.calibration.fit import PRIOR_POWER, Fit, Pair, aligned, best_corner, kept, likeliest_corner, refine
+from midspan.calibration.fit import Fit, Pair, best_corner, refine
+from midspan.calibration.frequency_shapes import (
+    ALIKE,
+    FALLING,
+    FIRST,
+    RESPONSE,
+    SHAPES,
+    TERMS,
+    VELOCITY,
+    Columns,
+    Kind,
+    free_columns,
+    seen_by,
+    solved,
+    with_logger,
+)
 from midspan.calibration.minimum import minimum
 from midspan.calibration.own_noise import most_density
-from midspan.calibration.whitening import Response, Whitened, integrated, inverse_of
 from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.signals.acceleration import GRAVITY_M_S2
@@ -57,19 +70,13 @@ USUAL_EXPOSURE_S = 0.02
 # The same of the slope, radians a metre: a cantilever of height h leans by 1.4/h (first bending mode), a tower of 70 m
 # by this; one of 20 m is within four of these standard deviations.
 USUAL_SLOPE = 0.02
-# Steeper slopes are none: a cantilever of 9 m.
-MAX_SLOPE = 0.15
 # A cantilever's second mode has its first one's slope times this, with the other sign (Chopra, section 17.3): the
-# standard deviation of what faster modes differ by. They are above the first one's frequency times the other.
-MODE_SLOPE, MODE_CORNER = 2.5, 2.5
+# standard deviation of what faster modes differ by.
+MODE_SLOPE = 2.5
 # What is slower than the motion by this is judged by sines, of this number at most.
 SLOWER, MAX_WAVES = 0.5, 10
-# The camera's tilt moves the image by this many px a radian at least: a wide lens.
-MIN_FOCAL_PX = 300.0
-# The same where nothing is known of it: a phone's lens.
+# A tilt moves the image by this many px a radian, where nothing is known of the lens: a phone's.
 USUAL_FOCAL_PX = 2000.0
-# An accelerometer that reads this much all the time, m/s², is upright: gravity's share goes with its tilt squared.
-VERTICAL_M_S2 = 9.0
 # Gain in the logarithm of the likelihood from which a kind counts as found: chance alone reaches it in one of two
 # thousand. One that gains less is in the deviations.
 MIN_GAIN = 6.0
@@ -81,12 +88,8 @@ MAX_DAMPING = 0.3
 SHOWN_NOISE = 0.1
 # What is less likely by this (logarithm) is excluded: one in a million.
 EXCLUDED = 14.0
-# Parts of the record by which the scatter of a coefficient is judged: each several periods of the slowest motion.
-PARTS = 12
 # The resonance (Hz) that does what an exposure (s) does, but for the frequency's fourth power: (f π T)²/6 = f²/f_r².
 RESONANCE_OF_EXPOSURE = np.sqrt(6.0) / np.pi
-# No resonance lies below this, Hz: the motion itself would be beyond it.
-MIN_RESONANCE_HZ = 2.0
 # Where the ratio together with a kind is known to no better than this (relative), the kind is not found: motion of
 # nearly one frequency fits any of them.
 MAX_OPEN = 0.01
@@ -94,136 +97,10 @@ MAX_OPEN = 0.01
 STEPS, LAST_STEP = 5, 0.1
 # A step of the clock offset, in intervals of the translation, at most.
 MAX_LATE = 0.1
-# Columns of what is whitened: translation, response, velocity; then one for each kind.
-RESPONSE, VELOCITY, FIRST = 1, 2, 3
 # Time constants of a first order that are tried, in that of the same weakening, and how well the best is found (share).
 SHORTEST, LONGEST, TOLERANCE = 0.3, 1.5, 0.03
 # ∫ exp(−u) f(u) du by the points of Gauss and Laguerre: right to 1e-3 up to ω τ = 0.7, where 18 % are left out.
 NODES, WEIGHTS = np.polynomial.laguerre.laggauss(12)
-
-
-class Kind(IntEnum):
-    """What makes the ratio depend on frequency; its number is that of its column, from FIRST on."""
-
-    EXPOSURE = 0
-    LEAN = 1
-    LAG = 2
-    DROOP = 3
-    RESONANCE = 4
-    SIGHT = 5
-
-
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """What the camera alone shows at the samples: displacement (n,) in m, tilt besides (n,) in px or None."""
-
-    moved_m: Floats
-    tilted_px: Floats | None
-
-    def integrated(self, samples: Floats) -> "_Integrated":
-        """As accelerations at samples (n, 3)."""
-
-        def twice(values: Floats) -> Response:
-            return integrated(np.column_stack((samples[:, 0], values, samples[:, 2])))
-
-        return _Integrated(twice(self.moved_m), None if self.tilted_px is None else twice(self.tilted_px))
-
-
-@dataclass(frozen=True, slots=True)
-class _Integrated:
-    moved: Response
-    tilted: Response | None
-
-
-@dataclass(frozen=True, slots=True)
-class Term:
-    """One kind: its column at times (s), the pair with its number changed, and whether that may be.
-
-    column: by the pair and what the camera alone shows, integrated; changed: with that at the samples; possible:
-    exposure, slope, droop and resonance are positive, and no more than they can be.
-    """
-
-    column: Callable[[Pair, "_Integrated", Floats], Floats]
-    changed: Callable[[Pair, float, "_Seen"], Pair]
-    possible: Callable[[Pair, float], bool]
-
-
-def _exposed(pair: Pair, change: float, _: _Seen) -> Pair:
-    square = max(pair.exposure_s**2 + 24.0 * change, 0.0)
-    return pair.changed(exposure_s=min(float(np.sqrt(square)), 1.0 / pair.rate_hz))
-
-
-def _with_acceleration(pair: Pair, more: Floats, **fields: float) -> Pair:
-    samples = pair.samples.copy()
-    samples[:, 1] += more
-    return pair.changed(samples=samples, **fields)
-
-
-def _leaning(pair: Pair, change: float, seen: _Seen) -> Pair:
-    return _with_acceleration(pair, change * seen.moved_m, lean=pair.lean + change)
-
-
-def _sighted(pair: Pair, change: float, seen: _Seen) -> Pair:
-    assert seen.tilted_px is not None
-    return _with_acceleration(pair, change * seen.tilted_px, sight=pair.sight + change)
-
-
-def _tilted(seen: _Integrated, time_s: Floats) -> Floats:
-    assert seen.tilted is not None
-    return seen.tilted.at(time_s)
-
-
-def _logged(pair: Pair, square: float, cube: float) -> Pair:
-    return pair.changed(logger=(pair.logger[0] + square, pair.logger[1] + cube))
-
-
-TERMS = {
-    Kind.EXPOSURE: Term(
-        lambda pair, _, time_s: pair.responses[0].widened(time_s, pair.exposure_s),
-        _exposed,
-        lambda pair, change: 0.0 < pair.exposure_s**2 + 24.0 * change <= 1.0 / pair.rate_hz**2,
-    ),
-    Kind.LEAN: Term(
-        lambda _, seen, time_s: seen.moved.at(time_s),
-        _leaning,
-        lambda pair, change: 0.0 < pair.lean + change < GRAVITY_M_S2 * MAX_SLOPE,
-    ),
-    Kind.LAG: Term(
-        lambda pair, _, time_s: pair.responses[0].shaken(time_s, 1),
-        lambda pair, change, _: _logged(pair, 0.0, change),
-        lambda pair, change: True,
-    ),
-    Kind.DROOP: Term(
-        lambda pair, _, time_s: -pair.responses[0].shaken(time_s, 0),
-        lambda pair, change, _: _logged(pair, -change, 0.0),
-        lambda pair, change: pair.logger[0] - change < 0.0,
-    ),
-    Kind.RESONANCE: Term(
-        lambda pair, _, time_s: pair.responses[0].shaken(time_s, 0),
-        lambda pair, change, _: _logged(pair, change, 0.0),
-        lambda pair, change: 0.0 < pair.logger[0] + change < (2.0 * np.pi * MIN_RESONANCE_HZ) ** -2,
-    ),
-    Kind.SIGHT: Term(
-        lambda _, seen, time_s: _tilted(seen, time_s),
-        _sighted,
-        lambda pair, change: abs(pair.sight + change) < GRAVITY_M_S2 / MIN_FOCAL_PX,
-    ),
-}
-# What is compared, each as a whole.
-SHAPES = (
-    (Kind.EXPOSURE,),
-    (Kind.LEAN,),
-    (Kind.SIGHT, Kind.LEAN),
-    (Kind.LAG,),
-    (Kind.DROOP,),
-    (Kind.LAG, Kind.DROOP),
-    (Kind.RESONANCE,),
-    (Kind.RESONANCE, Kind.LAG),
-)
-# They make the ratio fall with the frequency's square, as a sensor of first order does.
-FALLING = (Kind.EXPOSURE, Kind.RESONANCE)
-# One of each at most: one number with two signs; two that differ in the fourth power of the frequency only.
-ALIKE = ({Kind.DROOP, Kind.RESONANCE}, {Kind.EXPOSURE, Kind.RESONANCE})
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,123 +195,6 @@ class FrequencyResponse:
 
 
 @dataclass(frozen=True, slots=True)
-class Regression:
-    """The translation regressed on some of the columns, at its most likely corner frequency (rad/s).
-
-    free: the columns' numbers; coefficients (k,) and covariance (k, k) in their order. scatter: variance of the last
-    coefficient by how far parts of the record differ in it, over that in the covariance; 1 at least.
-    """
-
-    free: tuple[int, ...]
-    corner: float
-    likelihood: float
-    coefficients: Floats
-    covariance: Floats
-    scatter: float = 1.0
-
-    def of(self, kind_column: int) -> tuple[float, float]:
-        """The coefficient of a column over the ratio, and its standard deviation."""
-        k, ratio = self.free.index(kind_column), self.coefficients[0]
-        return float(self.coefficients[k] / ratio), float(np.sqrt(self.covariance[k, k])) / abs(float(ratio))
-
-
-class _Columns:
-    """A pair at the offset of a fit with one column for each kind; whitened once at each corner frequency."""
-
-    def __init__(
-        self, pair: Pair, fit: Fit, *, slow: bool = False, waves: Sequence[Callable[[Floats], Floats]] = ()
-    ) -> None:
-        self.seen = _seen(pair, fit)
-        if slow:
-            self.seen = replace(self.seen, moved_m=_slow(self.seen.moved_m, pair.sample_rate_hz))
-        twice = self.seen.integrated(pair.samples)
-
-        def column(kind: Kind) -> Callable[[Floats], Floats]:
-            return lambda time_s: TERMS[kind].column(pair, twice, time_s)
-
-        self._pair = pair
-        able = [kind for kind in Kind if kind is not Kind.SIGHT or pair.seen is not None]
-        first = FIRST + len(able)
-        self._waves = tuple(range(first, first + len(waves)))
-        here = aligned(pair, fit.offset_s, *(column(kind) for kind in able), *waves)
-        self.whitened = lru_cache(kept(here.columns.rows))(here.whitened)
-
-    def regressed(self, known: Sequence[Kind]) -> Regression:
-        """The most likely regression on the columns of some kinds."""
-        free = (*_free(known), *self._waves)
-        corner = likeliest_corner(self._pair, lambda one: _at(self.whitened(one), free, one).likelihood)
-        w = self.whitened(corner)
-        found = _at(w, free, corner)
-        return replace(found, scatter=_scatter(w, found))
-
-
-def _free(known: Sequence[Kind]) -> tuple[int, ...]:
-    return (RESPONSE, VELOCITY, *(FIRST + kind for kind in known))
-
-
-def _seen(pair: Pair, fit: Fit) -> _Seen:
-    """What the camera shows at the samples, about its mean; beyond its ends as there."""
-    from scipy.interpolate import CubicSpline
-
-    def at_samples(values: Floats) -> Floats:
-        used = np.isfinite(pair.rows[:, 2]) & np.isfinite(values)
-        own_s = pair.rows[used, 0] + fit.offset_s
-        time_s = np.clip(pair.samples[:, 0], own_s[0], own_s[-1])
-        return np.asarray(CubicSpline(own_s, values[used])(time_s) - values[used].mean())
-
-    moved_m = np.asarray(at_samples(pair.rows[:, 1]) / fit.ratio)
-    if pair.seen is None:
-        return _Seen(moved_m, None)
-    tilted_px = at_samples(pair.seen)
-    # What goes with the displacement is the slope's.
-    return _Seen(moved_m, tilted_px - float(tilted_px @ moved_m) / float(moved_m @ moved_m) * moved_m)
-
-
-def _at(w: Whitened, free: tuple[int, ...], corner: float) -> Regression:
-    coefficients, covariance, left = _solved(w, free)
-    n = len(w.variance)
-    likelihood = -0.5 * n * np.log(left / n) + PRIOR_POWER * float(np.log(corner)) - w.entropy
-    return Regression(free, corner, float(likelihood), coefficients, covariance)
-
-
-def _solved(w: Whitened, free: tuple[int, ...], last_std: float | None = None) -> tuple[Floats, Floats, float]:
-    """Coefficients (k,), covariance (k, k), and what is left of the squares; last_std: prior of the last one."""
-    power, cross = w.regression(w.columns[:, list(free)])
-    coefficients = inverse_of(power) @ cross
-    left = max(w.product(w.translation, w.translation) - float(coefficients @ cross), 1e-300)
-    noise = left / max(len(w.variance) - len(free), 1)
-    if last_std is not None:
-        power[-1, -1] += noise / last_std**2
-    return coefficients, noise * inverse_of(power), left
-
-
-def _scatter(w: Whitened, found: Regression) -> float:
-    """Variance of the last coefficient by parts of the record over that of white innovations; 1 at least.
-
-    Sums of its score over parts scatter as the errors do that are correlated and go with the motion as well (K.-Y.
-    Liang, S. L. Zeger, Biometrika 73 (1986) 13-22, doi 10.1093/biomet/73.1.13).
-    """
-    columns = w.columns[:, list(found.free)] / np.sqrt(w.variance)[:, None]
-    left = w.translation / np.sqrt(w.variance) - columns @ found.coefficients
-    last = columns @ inverse_of(columns.T @ columns)[:, -1]
-    sums = np.array([np.sum(part) for part in np.array_split(last * left, PARTS)])
-    white = float(np.mean(left**2)) * float(np.sum(last**2))
-    return max(float(np.sum(sums**2)) / white, 1.0) if white > 0.0 else 1.0
-
-
-def kinds_of(pair: Pair, *, exposure_declared: bool) -> tuple[Kind, ...]:
-    """The kinds that may be there: none where a band decides the ratio."""
-    if pair.outside is not None:
-        return ()
-    excluded = {Kind.EXPOSURE} if exposure_declared else set[Kind]()
-    if abs(pair.level_m_s2) > VERTICAL_M_S2:
-        excluded |= {Kind.LEAN, Kind.SIGHT}
-    if pair.seen is None:
-        excluded.add(Kind.SIGHT)
-    return tuple(kind for kind in Kind if kind not in excluded)
-
-
-@dataclass(frozen=True, slots=True)
 class Explained:
     """A pair without what of the kinds shows in it, and which of them do.
 
@@ -512,7 +272,7 @@ def _explains_all(one: _Candidate) -> bool:
 
 def _able(pair: Pair, fit: Fit, kinds: Sequence[Kind], found: Sequence[Kind], most_open: float) -> list[_Candidate]:
     """The shapes that explain the translation clearly better than those found already do, and may be."""
-    columns = _Columns(pair, fit)
+    columns = Columns(pair, fit)
     tried = {more: columns.regressed((*found, *more)) for more in _shapes(kinds, found)}
     without = columns.regressed(found).likelihood
     # What explains far more is of an impossible size: a drift, say, which a resonance only resembles.
@@ -568,8 +328,8 @@ def _lean_doubt(pair: Pair, fit: Fit, known: Sequence[Kind]) -> float:
     """How far (relative, rms) the ratio would be another with slopes of faster modes that are not the slowest one's,
     and with any tilt that is slower than the motion, as by the sun.
     """
-    own_hz = dominant_frequency(_seen(pair, fit).moved_m, pair.sample_rate_hz)
-    others = (_Columns(pair, fit), _Columns(pair, fit, slow=True), _Columns(pair, fit, waves=_waves(pair, own_hz)))
+    own_hz = dominant_frequency(seen_by(pair, fit).moved_m, pair.sample_rate_hz)
+    others = (Columns(pair, fit), Columns(pair, fit, slow=True), Columns(pair, fit, waves=_waves(pair, own_hz)))
     alike, slowest, free = (one.regressed(known).coefficients[0] for one in others)
     return float(np.hypot(MODE_SLOPE * (slowest / alike - 1.0), free / alike - 1.0))
 
@@ -585,21 +345,11 @@ def _waves(pair: Pair, motion_hz: float) -> list[Callable[[Floats], Floats]]:
     return [wave(k, function) for k in range(1, count + 1) for function in (np.sin, np.cos)]
 
 
-def _slow(moved_m: Floats, rate_hz: float) -> Floats:
-    """The part of a displacement (n,) in its slowest mode."""
-    from scipy.signal import butter, sosfiltfilt
-
-    corner_hz = MODE_CORNER * dominant_frequency(moved_m, rate_hz)
-    if not 0.0 < corner_hz < 0.5 * rate_hz:
-        return moved_m
-    return np.asarray(sosfiltfilt(butter(2, corner_hz, fs=rate_hz, output="sos"), moved_m))
-
-
 def settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
     """The pair without the most likely values of some kinds, and its fit, near that of the pair with them."""
     most_s = MAX_LATE / pair.rate_hz
     for _ in range(STEPS if known else 0):
-        columns = _Columns(pair, fit)
+        columns = Columns(pair, fit)
         found = columns.regressed(known)
         steps = [found.of(FIRST + kind) for kind in known]
         for kind, (change, _) in zip(known, steps, strict=True):
@@ -613,7 +363,7 @@ def settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
 
 def exposure_shows(pair: Pair, fit: Fit) -> bool:
     """Whether an exposure explains the translation better than any ratio and any delay do, by MIN_GAIN."""
-    columns = _Columns(pair.changed(ratio=None, exposure_s=0.0), fit)
+    columns = Columns(pair.changed(ratio=None, exposure_s=0.0), fit)
     found = columns.regressed((Kind.EXPOSURE,))
     return found.likelihood - columns.regressed(()).likelihood > MIN_GAIN * found.scatter
 
@@ -653,7 +403,7 @@ def response_of(
     part of what was found; open_s2: as of `Explained`.
     """
     undeclared_s2 = open_s2 if Kind.EXPOSURE in kinds else 0.0
-    w = _Columns(pair, fit).whitened(fit.corner)
+    w = Columns(pair, fit).whitened(fit.corner)
     usual = {
         Kind.EXPOSURE: min(USUAL_EXPOSURE_S, 1.0 / pair.rate_hz) ** 2 / 24.0,
         Kind.LEAN: GRAVITY_M_S2 * USUAL_SLOPE,
@@ -661,7 +411,7 @@ def response_of(
     }
 
     def variances(free: Sequence[Kind], std: float | None = None) -> Floats:
-        covariance = _solved(w, _free(free), None if std is None else std * fit.ratio)[1]
+        covariance = solved(w, free_columns(free), None if std is None else std * fit.ratio)[1]
         return np.array([covariance[0, 0], covariance[1, 1]]) / fit.ratio**2
 
     own = variances(known)
@@ -690,7 +440,7 @@ def _other_m(pair: Pair, fit: Fit, known: Sequence[Kind], declared_s: float) -> 
     if Kind.EXPOSURE not in known or declared_s >= pair.exposure_s:
         return 0.0
     square = (pair.exposure_s**2 - declared_s**2) / 24.0
-    resonant = _logged(pair.changed(exposure_s=declared_s), square, 0.0)
+    resonant = with_logger(pair.changed(exposure_s=declared_s), square, 0.0)
     exposed, other = (best_corner(one, fit.offset_s, fit.corner).likelihood for one in (pair, resonant))
     if other < exposed - EXCLUDED:
         return 0.0

@@ -10,7 +10,8 @@ from midspan.calibration.agreement import clearly_better, misfit
 from midspan.calibration.clock_jumps import ClockJump, jumps_text, lead_of_halves, without_jumps
 from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, with_input_noise
-from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
+from midspan.calibration.frequency_response import FrequencyResponse, response_of, with_response
+from midspan.calibration.frequency_shapes import Kind, kinds_of
 from midspan.calibration.gain_drift import drift_text, gain_drift
 from midspan.calibration.own_error import OwnError, find_own_error
 from midspan.calibration.own_noise import contradiction, exceeds_own_noise

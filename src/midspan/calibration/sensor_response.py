@@ -18,12 +18,12 @@ from midspan.calibration.frequency_response import (
     EXCLUDED,
     MAX_LATE,
     MIN_GAIN,
-    Kind,
     exposure_shows,
     lead_over_first_order,
     settled,
     with_response,
 )
+from midspan.calibration.frequency_shapes import Kind
 from midspan.calibration.minimum import global_minimum
 from midspan.calibration.time_offset import first_part
 from midspan.records import Floats

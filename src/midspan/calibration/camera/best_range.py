@@ -12,8 +12,7 @@ from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, seconds
-from midspan.signals.acceleration import PreparedAcceleration
-from midspan.signals.acceleration import GRAVITY_M_S2
+from midspan.signals.acceleration import GRAVITY_M_S2, PreparedAcceleration
 from midspan.signals.integrate import path
 from midspan.thermal.temperature_range import DIVISIONS, ROUGH, THINNED, Expected, RangeSurface, optimise_range
 from midspan.vision.tracker import open_tracker

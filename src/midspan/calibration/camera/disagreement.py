@@ -16,7 +16,7 @@ import numpy as np
 from midspan.calibration.camera.difference import MIN_FRAMES, Course, Difference, Share, difference, share_in
 from midspan.calibration.camera.view import SeenTarget, View, camera_blocks, filter_settings, target_block
 from midspan.calibration.common_offset import Fitted
-from midspan.calibration.frequency_response import VERTICAL_M_S2
+from midspan.calibration.frequency_shapes import VERTICAL_M_S2
 from midspan.calibration.scale import REFUSED_ABOVE
 from midspan.calibration.sensors.camera import CameraCalibration, CameraScale, TargetCalibration
 from midspan.errors import UntrustedError

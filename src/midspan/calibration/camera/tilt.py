@@ -23,7 +23,7 @@ from midspan.calibration.camera.difference import Course, share_in
 from midspan.calibration.camera.disagreement import SAME_DISTANCE
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, filter_settings, scale_of
 from midspan.calibration.common_offset import Fitted
-from midspan.calibration.frequency_response import Kind
+from midspan.calibration.frequency_shapes import Kind
 from midspan.calibration.scale import MIN_GAIN, ScaleCalibration
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at

@@ -302,8 +302,8 @@ def filter_settings(
 ) -> KalmanSettings:
     """First guesses for the filter: the bias (the mean when left out) and how well it is known.
 
-    density: of the acceleration's noise, (m/s²)²/Hz; lean: as of `KalmanSettings`. Without any acceleration the motion is that noise, and its slow
-    part is left to the bias as it was when the density was estimated.
+    density: of the acceleration's noise, (m/s²)²/Hz; lean: as of `KalmanSettings`. Without any acceleration the motion
+    is that noise, and its slow part is left to the bias as it was when the density was estimated.
     """
     value = prepared.value_m_s2
     if not value.any():

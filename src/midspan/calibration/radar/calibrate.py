@@ -9,7 +9,7 @@ from midspan.calibration.agreement import misfit
 from midspan.calibration.common_offset import MIN_OFFSET_S, OFFSET_STD, weighted_median
 from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import Fit, Pair, best_corner, measured_rows
-from midspan.calibration.frequency_response import Kind, kinds_of
+from midspan.calibration.frequency_shapes import Kind, kinds_of
 from midspan.calibration.own_error import averaged, find_own_error
 from midspan.calibration.own_noise import SLOW_HZ, narrow_motion
 from midspan.calibration.radar.clock import Seen, clock_skew
