@@ -13,10 +13,10 @@ The exposure is the camera's, or its rows are read one after the other; only its
 without doubt. A tower leans by κ radians for each metre that it moves, so that gravity takes gκ u from the acceleration
 of its horizontal axis; faster modes have slopes of their own. Where targets at two distances show the tilt, T is what
 they have in common (px) that does not go with u: gravity takes a T more, a = ± g over the focal length (px) where the
-camera looks up or down. A logger's low-pass delays fast motion more than slow motion, whose delay is a clock
-offset, and may weaken it. A bracket or railing below the accelerometer that resonates at ω = 1/√c with a damping ratio ζ makes it
-feel fast motion too strongly: inverted, its transmissibility is 1 − r² / (1 + 2jζ r) = 1 − r² + 2jζ r³ + … with
-r = frequency over resonance, so that q = −2ζ c^(3/2) (A. K. Chopra, Dynamics of structures, section 3.6).
+camera looks up or down. A logger's low-pass delays fast motion more than slow motion, whose delay is a clock offset,
+and may weaken it. A bracket or railing below the accelerometer that resonates at ω = 1/√c with a damping ratio ζ makes
+it feel fast motion too strongly: inverted, its transmissibility is 1 − r² / (1 + 2jζ r) = 1 − r² + 2jζ r³ + … with r =
+frequency over resonance, so that q = −2ζ c^(3/2) (A. K. Chopra, Dynamics of structures, section 3.6).
 
 They are compared as whole shapes by likelihood: the best is taken, and another on top only where that gains as clearly
 again. How far the ratio would be another with a shape that is nearly as likely, and what a further one changes, is
