@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import midspan
-from pinhole_tracks import MODES, TILT, Site, Target, nothing, stacked, times, together, waves
+from pinhole_tracks import MDEG, MODES, TILT, Site, Target, nothing, stacked, times, together, waves
 from repeats import slow
 
 SITE = Site()
@@ -136,3 +136,22 @@ def test_a_swing_that_the_only_target_does_not_show_is_named_as_not_observed(tmp
     site = SITE.but(targets=(NEAR,), motion=together(MODES, SWINGS), turns=turns, lateral=1)
     result = midspan.estimate(site.write(tmp_path))
     assert any("tilt not observed" in one for one in result.not_in_band)
+
+
+@pytest.mark.parametrize("apart_px", [300, *slow((1000,))])
+def test_a_roll_that_two_targets_apart_across_the_axis_cannot_show_is_in_the_band(apart_px, tmp_path):
+    roll = together(waves(3.3, 3.7, 2.0 * MDEG, 31), waves(0.01, 0.05, 5.0 * MDEG, 32))
+    targets = (Target(3.0, -0.5 * apart_px, -75.0), Target(10.0, 0.5 * apart_px, 75.0))
+    site = Site(targets, turns=(TILT, nothing, roll))
+    regions = "".join(
+        f'[[camera.target]]\nname = "{name}"\nroi = [{1000 + round(one.x_px)}, {1000 + round(one.y_px)}, 48, 48]\n'
+        for name, one in zip(("1", "target2"), targets, strict=True)
+    )
+    result = midspan.estimate(site.write(tmp_path, regions))
+    error = site.error_mm(result.time_s, result.displacement_mm)
+    # A roll of 5 mdeg moves targets 300 px apart by 0.026 px, 0.1 mm.
+    assert np.std(error) > 0.01
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.95
+    assert any("a roll of the camera moves them against each other" in one for one in result.warnings)
+    again = midspan.estimate(tmp_path, result.calibration, given=False)
+    assert np.array_equal(again.displacement_mm, result.displacement_mm)

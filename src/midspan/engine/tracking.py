@@ -22,7 +22,7 @@ from midspan.progress import Progress, silent
 from midspan.records import Event, Floats, Frame, Nanoseconds, PixelTrack, PixelTranslation
 from midspan.signals.stamps import shown
 from midspan.thermal.temperature_range import Expected, RangeSurface
-from midspan.vision.frame_source import FrameSource, StoredTrack
+from midspan.vision.frame_source import NOWHERE, FrameSource, StoredTrack
 from midspan.vision.lens import lens_warnings
 from midspan.vision.picture_report import LightReport, picture_warnings
 from midspan.vision.region import check_region
@@ -431,12 +431,17 @@ class StoredTracking(CameraTracking):
         self.source, self.progress, self.settings = source, progress, settings
         used = slice(settings.first, settings.last)
         self.time_ns = source.times_ns()[used]
-        info = source.info
-        self.reference = Frame(int(self.time_ns[0]), np.zeros((info.height, info.width), dtype=np.uint8))
         # The tracks of the targets that a calibration uses, all where none are named.
         names = [target.name for target in settings.targets]
         named = tuple(track for track in source.tracks if track.name in names)
         tracks = named if named and len(named) == len(names) else tuple(source.tracks)
+        if tracks is named:
+            places = {target.name: target.region for target in settings.targets}
+            tracks = tuple(t if t.region != NOWHERE else replace(t, region=places[t.name]) for t in tracks)
+        regions = [track.region for track in tracks]
+        width = max(source.info.width, *(one.x + one.width for one in regions))
+        height = max(source.info.height, *(one.y + one.height for one in regions))
+        self.reference = Frame(int(self.time_ns[0]), np.zeros((height, width), dtype=np.uint8))
         targets: list[Any] = [StoredTarget(self.reference, t, settings.readout_s, settings.first) for t in tracks]
         self.chain: Any = self
         self.targets = tuple(TargetTracking(target) for target in targets)

@@ -31,6 +31,10 @@ class FrameInfo:
     quarter_turns: int = 0
 
 
+# Where a track's target was, if nothing tells it.
+NOWHERE = Region(0, 0, 1, 1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredTrack:
     """A target that was tracked before: its translations, one row a frame, as they came from the tracker.

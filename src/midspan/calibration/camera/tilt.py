@@ -23,6 +23,7 @@ from midspan.calibration.camera.difference import Course, share_in
 from midspan.calibration.camera.disagreement import SAME_DISTANCE
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, filter_settings, scale_of
 from midspan.calibration.common_offset import Fitted
+from midspan.calibration.frequency_response import USUAL_FOCAL_PX
 from midspan.calibration.frequency_shapes import Kind
 from midspan.calibration.scale import MIN_GAIN, ScaleCalibration
 from midspan.errors import UntrustedError
@@ -44,11 +45,13 @@ WALK_LAGS_S = (2, 4, 8, 16)
 class Tilt:
     """What the differences of a camera's targets tell along one image axis.
 
-    found: of the sharpest difference; scales (k,): m per pixel of each target, signed, which are right to one constant
-    added to their inverses; noise_px (k,): of one frame of each target; std_px: standard deviation of the tilt in the
-    image; pair: numbers of the two targets whose difference is the sharpest; certain: whether the accelerometer
-    excludes motion of one target alone; others: what is said of the targets besides; left: share of the tilt that is in
-    the difference all the same; walk_px2_s: density of the random walk that it goes on by from second to second, px²/s.
+    found: of the sharpest difference; scales (k,): m per pixel of each target, signed, which are right to one
+    constant added to their inverses; noise_px (k,): of one frame of each target; std_px: standard deviation of the
+    tilt in the image; pair: numbers of the two targets whose difference is the sharpest; certain: whether the
+    accelerometer excludes motion of one target alone; others: what is said of the targets besides; left: share of
+    the tilt that is in the difference all the same; roll: displacement of the sharpest targets against each other
+    that a roll as large as the tilt makes, over the tilt's, where nothing shows it; walk_px2_s: density of the
+    random walk that it goes on by from second to second, px²/s.
     """
 
     found: ScaleCalibration
@@ -59,6 +62,7 @@ class Tilt:
     certain: bool
     others: Bystanders
     left: float
+    roll: float
     walk_px2_s: float
 
     def scale(self, number: int) -> ScaleFactor:
@@ -68,8 +72,13 @@ class Tilt:
 
     @property
     def left_m(self) -> float:
-        """What is left of the tilt in the displacement, rms, m."""
-        return self.left * self.std_px * abs(self.found.scale.value_m_per_px)
+        """What is left of the tilt in the displacement, and what a roll may add, rms, m."""
+        return float(np.hypot(self.left, self.roll)) * self._tilt_m
+
+    @property
+    def _tilt_m(self) -> float:
+        """What the tilt would make of a difference's displacement, rms, m."""
+        return self.std_px * abs(self.found.scale.value_m_per_px)
 
     def text(self, names: Sequence[str]) -> Notice:
         """A sentence on it; names: of all targets."""
@@ -78,7 +87,13 @@ class Tilt:
         if self.left > 0.0:
             held = (
                 f" {rounded(100.0 * self.left)} % of it is left in the difference, as with targets far from the "
-                f"optical axis; the error band includes {rounded(1e3 * self.left_m)} mm for it."
+                f"optical axis; the error band includes {rounded(1e3 * self.left * self._tilt_m)} mm for it."
+            )
+        if self.roll > 0.0:
+            held += (
+                " They lie apart across the measured axis, so that a roll of the camera moves them against each other; "
+                f"the error band includes {rounded(1e3 * self.roll * self._tilt_m)} mm, for one as large as the tilt. "
+                "Choose targets that lie along the measured axis, or give [camera.lens]."
             )
         alone = len(names) == 2 and not self.certain
         third = " A slow motion of one target alone would look the same; a third target shows it." if alone else ""
@@ -138,6 +153,7 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
         certain,
         others,
         _left(seen, pair, found),
+        _roll(view.axis, *(targets[k] for k in pair)),
         _walk(first, other, step_s),
     )
 
@@ -161,11 +177,25 @@ def _walk(one: Floats, other: Floats, step_s: float) -> float:
     return max(found, default=0.0)
 
 
+def _across_px(axis: str, targets: Sequence[SeenTarget]) -> float:
+    """How far targets lie apart across an image axis."""
+    first = [one.region.y if axis == "x" else one.region.x for one in targets]
+    return float(max(first) - min(first))
+
+
+def _roll(axis: str, one: SeenTarget, other: SeenTarget) -> float:
+    """What a roll moves two targets against each other by, over what a tilt as large moves both by."""
+    lever_px = _across_px(axis, (one, other))
+    if lever_px <= ROLL_LEVER_PX:
+        return 0.0
+    known_px = None if one.lens is None else float(one.lens.matrix["xy".index(axis)])
+    return lever_px / (known_px or max(USUAL_FOCAL_PX, *one.frame_px))
+
+
 def _may_roll(axis: str, targets: Sequence[SeenTarget]) -> bool:
     """Whether a roll moves targets along the axis that are apart across it, and what is known of them shows it."""
-    first = [one.region.y if axis == "x" else one.region.x for one in targets]
     known = targets[0].lens is not None and any(one.inverse_distance is not None for one in targets)
-    return known and max(first) - min(first) > ROLL_LEVER_PX
+    return known and _across_px(axis, targets) > ROLL_LEVER_PX
 
 
 def _are_apart(one: SeenTarget, other: SeenTarget) -> bool:

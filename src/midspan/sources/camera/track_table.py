@@ -19,7 +19,7 @@ from midspan.sources.accelerometer.clock import numbers_to_ns
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.camera.frames import FrameRequest, rate_times, require_increasing
 from midspan.trees import TreeError, read_json
-from midspan.vision.frame_source import FrameInfo, FrameSource, StoredTrack
+from midspan.vision.frame_source import NOWHERE, FrameInfo, FrameSource, StoredTrack
 
 # Where a table does not say how sure it is: what a good tracker reaches, px. Calibration estimates the true one.
 USUAL_STD_PX = 0.01
@@ -107,5 +107,5 @@ def _track(
     unknown = np.full(len(time_ns), np.nan)
     rows = PixelTrack(time_ns, x, y, single[:, 0], single[:, 1], quality, status, unknown, unknown)
     name = end.removeprefix("_") or "1"
-    region, strength = regions.get(name, Region(0, 0, 1, 1)), np.where(seen, column("strength", 100.0), 0.0)
+    region, strength = regions.get(name, NOWHERE), np.where(seen, column("strength", 100.0), 0.0)
     return StoredTrack(name, region, rows, strength, np.where(seen[:, None], reference, 0.0))
