@@ -16,7 +16,7 @@ class Severity(StrEnum):
 # The codes by their severity; docs/troubleshooting.md says what each means and what to do.
 _CODES = {
     Severity.NOTE: (
-        "clock-corrected", "exposure", "film-turned", "frames-skipped", "frames-untimed",
+        "clock-corrected", "depth-by-size", "exposure", "film-turned", "frames-skipped", "frames-untimed",
         "gain-estimated", "method-rates", "pose-unchecked", "pose-unseen", "slow-error-included", "stamps-corrected",
         "tilt", "window-moved",
     ),

@@ -10,9 +10,10 @@ from posed_tracks import FOCAL_PX, FRAME_HZ, LATE_S, NOISE_PX, SIZE, THREE, seen
 import midspan
 from midspan.errors import UntrustedError
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.pose import UNITS, smoothed
+from midspan.recording.pose import UNITS
 from midspan.recording.streams.recording import open_recording
 from midspan.recording.tracking.posed import six_degrees
+from midspan.recording.unfelt import smoothed
 from midspan.records import Displacement, nanoseconds
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scenarios.tilting import SixDegrees

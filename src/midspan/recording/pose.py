@@ -12,37 +12,21 @@ import numpy as np
 
 from midspan.calibration.camera.geometry import Surroundings, contradicted
 from midspan.calibration.camera.view import View, camera_pair, filter_settings, scale_of
-from midspan.calibration.minimum import global_minimum
 from midspan.calibration.scale import ScaleCalibration
 from midspan.engine.sensor_series import CameraResult
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
-from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
+from midspan.fusion.streams import smooth
 from midspan.notices import Notice
 from midspan.recording.cameras import view_of
+from midspan.recording.depth import AlongView, along_view
 from midspan.recording.tracked import Side, TrackedCamera
 from midspan.recording.tracking.posed import AXES, PosedTracking, is_steady, known_surroundings, seen_frames
-from midspan.records import (
-    NANOSECONDS,
-    Acceleration,
-    Displacement,
-    Estimate,
-    Floats,
-    Nanoseconds,
-    Source,
-    part,
-)
+from midspan.recording.unfelt import MIN_FRAMES, block_of, smoothed
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats
 from midspan.signals.averaging import at_instants
 from midspan.vision.pose import Poses, by_geometry
 
-# Frames that the changes of a motion are estimated from.
-LEARNED_FRAMES, MIN_FRAMES = 4000, 30
-# Of a gap, in usual steps between measurements.
-GAP_STEPS = 3.0
-# How far the density of the acceleration of such a motion may be from what its frames say at once, decades.
-DECADES = 4.0
-# An innovation beyond this many standard deviations counts as that many.
-CAPPED = 4.0
 UNITS = (1e3, 1e3, 1e3, *[1e3 * float(np.degrees(1.0))] * 3)
 
 
@@ -50,7 +34,7 @@ UNITS = (1e3, 1e3, 1e3, *[1e3 * float(np.degrees(1.0))] * 3)
 class CameraPose:
     """Where a camera is: value (n, 6), translation (m) and rotation vector (rad) about its own axes x (right), y (down)
     and z (along the view) since the first frame used, with standard deviations; zero_std (6,): the part of these that
-    the zero makes, common to all rows.
+    the zero makes, common to all rows. What is not observed is NaN.
     """
 
     value: Floats
@@ -61,14 +45,16 @@ class CameraPose:
         """The columns of the result, mm and mdeg."""
         found = dict[str, Floats]()
         for k, axis in enumerate("xyz" * 2):
+            if np.isnan(self.zero_std[k]):
+                continue
             name, unit = ("translation", "mm") if k < 3 else ("rotation", "mdeg")
             found[f"{name}_{axis}_{unit}"] = UNITS[k] * self.value[:, k]
             found[f"{name}_{axis}_std_{unit}"] = UNITS[k] * self.std[:, k]
         return found
 
-    def metadata(self) -> dict[str, list[float]]:
-        """The zero's part, three values each."""
-        zero = (self.zero_std * UNITS).tolist()
+    def metadata(self) -> dict[str, list[float | None]]:
+        """The zero's part, three values each; none of what is not observed."""
+        zero = [None if np.isnan(one) else float(one) for one in self.zero_std * UNITS]
         return {"translation_zero_std_mm": zero[:3], "rotation_zero_std_mdeg": zero[3:]}
 
 
@@ -93,7 +79,18 @@ def camera_pose(
         if found is not None:
             return found, own
         notices = notices or own
+    for camera, tracked in seen:
+        alone = along_view(camera, tracked, rows.estimates[0].time_ns)
+        if alone is not None:
+            return _only_along_view(alone), (*notices, alone.notice)
     return None, notices
+
+
+def _only_along_view(found: AlongView) -> CameraPose:
+    unseen = np.full(6, np.nan)
+    pose = CameraPose(np.tile(unseen, (len(found.value_m), 1)), np.tile(unseen, (len(found.value_m), 1)), unseen)
+    pose.value[:, 2], pose.std[:, 2], pose.zero_std[2] = found.value_m, found.std_m, found.zero_std_m
+    return pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,13 +207,13 @@ class _Camera:
         value, own = np.empty((len(time_ns), 6)), np.empty((len(time_ns), 6))
         for axis in (3, 4, 5, 0, 1, 2):
             if axis not in found:
-                block = _block(stamps_ns, frames.value[:, axis], frames.covariance[:, axis, axis])
+                block = block_of(stamps_ns, frames.value[:, axis], frames.covariance[:, axis, axis])
                 value[:, axis], own[:, axis] = smoothed(block, time_ns)
                 continue
             number, along = list(found).index(axis), found[axis]
             if self._posed is None:
                 moved = along.sign * self._at_accelerometer(frames.value)[:, axis]
-                block = _block(stamps_ns, moved, frames.covariance[:, axis, axis])
+                block = block_of(stamps_ns, moved, frames.covariance[:, axis, axis])
                 moved, own[:, axis] = at(self._with_acceleration(number, along, block), time_ns)
             else:
                 # What is measured is the displacement itself.
@@ -243,68 +240,3 @@ class _Camera:
 
 
 PREFIX = "camera: the result has no columns of its translation and rotation: "
-
-
-def _block(time_ns: Nanoseconds, value: Floats, variance: Floats) -> Displacement:
-    return Displacement(time_ns, value, variance, np.full(len(value), Source.CAMERA, dtype=np.uint8))
-
-
-def smoothed(block: Displacement, time_ns: Nanoseconds) -> tuple[Floats, Floats]:
-    """A motion of which nothing but measurements is known, and its variance, at stamps (n,).
-
-    Between measurements its velocity changes by white noise, of a density that makes them likeliest. A motion swings
-    back, so that within a gap the density is the largest that measurements apart by up to its half show, and the motion
-    is no farther from its mean than it usually is.
-    """
-    seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
-    block = Displacement(block.time_ns[seen], block.value_m[seen], block.variance_m2[seen], block.source[seen])
-    step_ns = float(np.median(np.diff(block.time_ns)))
-    stamps = np.union1d(time_ns, block.time_ns)
-    # Between which measurements each stamp lies, and how many usual steps these are apart.
-    after = np.clip(np.searchsorted(block.time_ns, stamps), 1, len(block.time_ns) - 1)
-    steps = np.maximum(block.time_ns[after] - block.time_ns[after - 1], np.abs(stamps - block.time_ns[after])) / step_ns
-    density = np.full(len(stamps), _density(block))
-    apart = 2
-    while 2 * apart <= np.max(steps) and len(block.time_ns) // apart >= MIN_FRAMES:
-        wider = _density(part(block, slice(None, None, apart)))
-        density = np.where(steps >= 2 * apart, np.maximum(density, wider), density)
-        apart *= 2
-    felt = Acceleration(stamps, np.zeros(len(stamps)), density)
-    value, variance = at(smooth(felt, block, _settings(block)).estimate, time_ns)
-    usual, mean = 2.0 * float(np.var(block.value_m)), float(np.mean(block.value_m))
-    bridged = steps[np.searchsorted(stamps, time_ns)] >= GAP_STEPS
-    share = np.where(bridged, usual / (usual + variance), 1.0)
-    return mean + share * (value - mean), share * variance
-
-
-def _unfelt(time_ns: Nanoseconds, density: float) -> Acceleration:
-    return Acceleration(time_ns, np.zeros(len(time_ns)), np.full(len(time_ns), density))
-
-
-def _settings(block: Displacement) -> KalmanSettings:
-    """Of a motion without an acceleration: no bias, and every measurement as good as its variance says."""
-    # Larger than anything that the block holds.
-    large = 10.0 * float(np.ptp(block.value_m)) + 100.0 * float(np.sqrt(np.max(block.variance_m2)))
-    step_s = float(np.median(np.diff(block.time_ns))) / NANOSECONDS
-    return KalmanSettings(
-        bias_walk=0.0, displacement_std=large, velocity_std=large / step_s, bias_std=0.0, rates=NO_ERRORS,
-        noise_memory=np.inf,
-    )  # fmt: skip
-
-
-def _density(block: Displacement) -> float:
-    """Density of the acceleration, (m/s²)²/Hz, by the likelihood of the innovations."""
-    block = part(block, slice(0, LEARNED_FRAMES))
-    settings, step_s = _settings(block), float(np.median(np.diff(block.time_ns))) / NANOSECONDS
-    # What second differences are, less their noise; of white noise of the density q they are 2/3 q T³.
-    bent = np.diff(block.value_m, 2)
-    noise = 6.0 * float(np.median(block.variance_m2))
-    first = max(float(np.mean(bent**2)) - noise, 1e-3 * noise) / (2.0 / 3.0 * step_s**3)
-
-    def cost(decades: float) -> float:
-        density = first * 10.0**decades
-        found = filtered(_unfelt(block.time_ns, density), block, settings).innovation
-        variance = found.variance_m2[2:]
-        return float(np.sum(np.log(variance) + np.minimum(found.value_m[2:] ** 2 / variance, CAPPED**2)))
-
-    return float(first * 10.0 ** global_minimum(cost, -DECADES, 1.0, tried=11, tolerance=0.03))
