@@ -28,7 +28,7 @@ from midspan.calibration.minimum import global_minimum
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
 from midspan.calibration.scale import REFUSED_ABOVE, ScaleCalibration, calibrate_scale, too_vague
 from midspan.calibration.time_offset import search_offset
-from midspan.calibration.whitening import Whitened, inverse_of
+from midspan.calibration.whitening import inverse_of
 from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS, Floats, ScaleFactor
 
@@ -54,8 +54,8 @@ ROUNDS, SETTLED = 12, 1e-3
 DENSITY_STD = 0.3
 # So is the noise of a frame as the tracker has it; sizes of the gyroscope's noise over it that are tried (logarithms).
 NOISE_STD, SIZES = 1.5, (-4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0)
-# Least share of the innovations that is a frame's own noise.
-MIN_OWN = 0.02
+# Draws of a frame's own noise.
+OWN_DRAWS = 4
 # A focal length that is less certain, relative, is none.
 MAX_FOCAL_STD = 0.1
 # Rotation shows where it exceeds the scatter of the noise's power by this factor.
@@ -205,17 +205,24 @@ class Compared:
         columns = [lambda time_s: turning.angle(time_s + apart_s, pair.exposure_s)]
         columns += [partial(lambda time_s, k: turning.jumped(time_s + apart_s, k), k=k) for k in range(gaps)]
         columns += [partial(lambda time_s, k: turning.walk(time_s + apart_s, k), k=k) for k in range(DRAWS)]
+        columns += [partial(self._drawn, k, place.offset_s) for k in range(OWN_DRAWS)]
         w = aligned(pair, place.offset_s, *columns).whitened(place.corner)
         white = w.columns / np.sqrt(w.variance)[:, None]
-        angle, jumped, walks = np.split(white[:, -len(columns) :], (1, 1 + gaps), axis=1)
+        angle, jumped, walks, frames = np.split(white[:, -len(columns) :], (1, 1 + gaps, 1 + gaps + DRAWS), axis=1)
         other = np.column_stack((jumped, white[:, 3 : -len(columns)]))
         noisy = np.column_stack((white[:, :2], angle, white[:, 2], walks))
         free = noisy - other @ np.linalg.lstsq(other, noisy, rcond=None)[0] if other.shape[1] else noisy
         walked = place.density / turning.density * np.sum(free[:, 4:] ** 2, axis=0)
-        noises = _noises(w, place, float(np.mean(walked))) * np.array([1.0, 1.0, density_share])
+        own = place.noise * float(np.mean(np.sum(frames**2, axis=0)))
+        noises = np.array([own, place.noise * w.input_share / place.ratio**2, density_share * float(np.mean(walked))])
         found = _solved(free[:, :4], noises, (float(np.std(walked)), place.doubt * float(np.mean(walked))), focal)
         left = noisy[:, 0] - noisy[:, 1:3] @ np.array([found.ratio, found.focal])
         return replace(found, jumps=np.linalg.lstsq(other, left, rcond=None)[0][:gaps] if gaps else np.empty(0))
+
+    def _drawn(self, number: int, offset_s: float, time_s: Floats) -> Floats:
+        """A draw of the frames' own noise (m,), in units of its variance."""
+        relative = self.pair.rows[self.pair.used(offset_s), 2]
+        return np.asarray(np.sqrt(relative) * np.random.default_rng(number).normal(size=len(time_s)))
 
     def settled(self, offset_s: float) -> Settled:
         """The likeliest r, f, clock offsets and noise levels near a clock offset of the frames."""
@@ -342,14 +349,6 @@ class Compared:
         shifted = [replace(place, turned_s=place.turned_s + k * late_s) for k in (-1.0, 0.0, 1.0)]
         before, here, after = (evaluate(self.without_tilt(one), one.offset_s, one.corner).ratio for one in shifted)
         return float(np.sqrt(0.5 * ((before - here) ** 2 + (after - here) ** 2))) / abs(here)
-
-
-def _noises(w: Whitened, place: Place, walked: float) -> Floats:
-    """Sums of the noises of translation, D and Θ, whitened; walked: that of Θ."""
-    count = float(len(w.variance))
-    of_input, of_walk = w.input_share, place.focal**2 * walked / place.noise
-    own = place.noise * max(count - of_input - of_walk, MIN_OWN * count)
-    return np.array([own, place.noise * of_input / place.ratio**2, walked])
 
 
 def _solved(columns: Floats, noises: Floats, walked: tuple[float, float], focal: float | None) -> Joint:
