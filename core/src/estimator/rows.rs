@@ -249,7 +249,8 @@ pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
         return 0.0;
     }
     let others: Vec<usize> = own.filter(|one| one.sensor == first.sensor).map(|one| one.zero).collect();
-    if others.iter().all(|&z| p[(z, z)] == 0.0) {
+    // A tilt takes up what a zero would move the displacement by.
+    if first.slow.is_none() && others.iter().all(|&z| p[(z, z)] == 0.0) {
         let z = first.zero;
         return misfit * (p[(d, d)] + 2.0 * p[(d, z)] + p[(z, z)]).max(0.0);
     }

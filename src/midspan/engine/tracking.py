@@ -16,7 +16,7 @@ from midspan.calibration.camera.view import SeenTarget
 from midspan.engine.camera import CameraChain, CameraState, Target, TargetChain
 from midspan.engine.first_frame import begun
 from midspan.engine.target_opening import Opening, refuse_empty_range
-from midspan.errors import DataError
+from midspan.errors import DataError, UsageError
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
 from midspan.records import Event, Floats, Frame, Nanoseconds, PixelTrack, PixelTranslation
@@ -422,6 +422,30 @@ class StoredTarget:
         return math.hypot(exposure_s or 0.0, rows)
 
 
+def _as_declared(tracks: Sequence[StoredTrack], targets: Sequence[Target]) -> tuple[StoredTrack, ...]:
+    """The tracks of targets that a recording or a calibration names, with their regions; all where it names none.
+
+    As many of other names are taken in their order. UsageError where it is open which is which.
+    """
+    if not targets:
+        return tuple(tracks)
+    names, known = {track.name for track in tracks}, {target.name for target in targets}
+    others = [track for track in tracks if track.name not in known]
+    unnamed = [target for target in targets if target.name not in names]
+    if unnamed and len(unnamed) != len(others):
+        raise UsageError(
+            f"camera.target: the track has {', '.join(sorted(names))}, the recording names {', '.join(sorted(known))}. "
+            "Use the track's names, which its columns end with, or name as many targets in the same order."
+        )
+    by_track = {target.name: target for target in targets}
+    by_track |= {track.name: target for track, target in zip(others, unnamed, strict=False)}
+    return tuple(
+        replace(track, name=own.name, region=own.region if track.region == NOWHERE else track.region)
+        for track in tracks
+        if (own := by_track.get(track.name)) is not None
+    )
+
+
 class StoredTracking(CameraTracking):
     """The tracking of a track, all of whose rows are there from the beginning; it is its own chain."""
 
@@ -431,13 +455,7 @@ class StoredTracking(CameraTracking):
         self.source, self.progress, self.settings = source, progress, settings
         used = slice(settings.first, settings.last)
         self.time_ns = source.times_ns()[used]
-        # The tracks of the targets that a calibration uses, all where none are named.
-        names = [target.name for target in settings.targets]
-        named = tuple(track for track in source.tracks if track.name in names)
-        tracks = named if named and len(named) == len(names) else tuple(source.tracks)
-        if tracks is named:
-            places = {target.name: target.region for target in settings.targets}
-            tracks = tuple(t if t.region != NOWHERE else replace(t, region=places[t.name]) for t in tracks)
+        tracks = _as_declared(source.tracks, settings.targets)
         regions = [track.region for track in tracks]
         width = max(source.info.width, *(one.x + one.width for one in regions))
         height = max(source.info.height, *(one.y + one.height for one in regions))

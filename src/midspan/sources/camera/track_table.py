@@ -1,12 +1,12 @@
 """What was tracked before, in place of frames: a table that `midspan track` or another program wrote.
 
 Columns `x_px`, `y_px` (empty or NaN: lost) and time (`time_s`, or `time_ns` since 1970); optional `std_x_px`,
-`std_y_px`, `quality`, `strength`, `reference_std_x_px`, `reference_std_y_px`. Those of a further target end with `_`
-and its name.
+`std_y_px`, `quality`, `strength`, `reference_std_x_px`, `reference_std_y_px`. Those of a further target, or of all, end
+with `_` and its name.
 """
 
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -36,7 +36,14 @@ def holds_tracks(path: Path) -> bool:
             names = set(list_channels(path).names)
     except Exception:  # the reader of tables says what is wrong with it
         return False
-    return {"x_px", "y_px"} <= names
+    return bool(_ends(names))
+
+
+def _ends(names: Iterable[str]) -> list[str]:
+    """What the columns of each target end with, in their order."""
+    known = dict.fromkeys(names)
+    ends = [name.removeprefix("x_px") for name in known if name == "x_px" or name.startswith("x_px_")]
+    return [end for end in ends if f"y_px{end}" in known]
 
 
 class TrackFrames(FrameSource):
@@ -47,14 +54,12 @@ class TrackFrames(FrameSource):
         columns = {channel.name: channel for channel in found.channels}
         step = request.every
         self._time_ns = _times(path, columns, request)[::step]
-        ends = [name.removeprefix("x_px") for name in columns if name.startswith("x_px")]
         regions: dict[str, Region] = {}
         with suppress(OSError, TreeError, KeyError, TypeError, ValueError):
             # Where the `.json` of the table tells them.
             targets = read_json(path.with_suffix(".json"))["targets"]
             regions = {str(one["name"]): Region(*(int(v) for v in one["roi"])) for one in targets}
-        tracks = [_track(columns, end, self._time_ns, step, regions) for end in ends if f"y_px{end}" in columns]
-        self.tracks = tuple(tracks)
+        self.tracks = tuple(_track(columns, end, self._time_ns, step, regions) for end in _ends(columns))
         self._damage = found.damage
 
     @property
@@ -75,7 +80,7 @@ class TrackFrames(FrameSource):
 
 def _times(path: Path, columns: dict[str, Channel], request: FrameRequest) -> Nanoseconds:
     """Stamps (n,) from the table's column of time, else from the rate."""
-    count = columns["x_px"].size
+    count = columns[f"x_px{_ends(columns)[0]}"].size
     named = next((columns[name] for name in ("time_ns", "time_s", "time", "t") if name in columns), None)
     if request.rate_hz is not None or named is None:
         time_ns = rate_times(path, request, count)
@@ -106,6 +111,6 @@ def _track(
     status = np.where(seen, Status.TRACKING, Status.LOST).astype(np.uint8)
     unknown = np.full(len(time_ns), np.nan)
     rows = PixelTrack(time_ns, x, y, single[:, 0], single[:, 1], quality, status, unknown, unknown)
-    name = end.removeprefix("_") or "1"
+    name = end.removeprefix("_") or next(iter(regions), "1")
     region, strength = regions.get(name, NOWHERE), np.where(seen, column("strength", 100.0), 0.0)
     return StoredTrack(name, region, rows, strength, np.where(seen[:, None], reference, 0.0))
