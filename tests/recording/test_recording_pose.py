@@ -116,6 +116,17 @@ def test_a_fourth_target_shows_that_none_moves_on_its_own(tmp_path):
     assert not any(one.code == "pose-unchecked" for one in result.warnings)
 
 
+def test_while_one_of_four_is_hidden_the_band_holds_what_wrong_distances_make(tmp_path):
+    four = {"wall": (850, 60, 5.0), **THREE}
+    folder, time_s, true = written(tmp_path, targets=four, off_m={"2": 0.018, "far": 0.05}, lost=[("2", 200, 400)])
+    result = midspan.estimate(folder)
+    error, std = errors(result, time_s, true)
+    hidden = (result.time_s > 11.0) & (result.time_s < 19.0)
+    assert np.all(np.mean(np.abs(error[hidden]) < 1.96 * std[hidden], axis=0) > 0.9)
+    assert np.mean(result.displacement_std_mm[hidden]) > 1.1 * np.mean(result.displacement_std_mm[~hidden])
+    assert any(line.code == "lost" and " 2;" in line for line in result.warnings)
+
+
 def test_one_of_four_that_moves_is_refused_and_one_of_five_is_named(tmp_path):
     four = {"wall": (850, 60, 5.0), **THREE}
     folder, *_ = written(tmp_path / "four", targets=four, off_m={}, drift_px=0.5)

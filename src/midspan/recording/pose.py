@@ -147,8 +147,8 @@ class _Camera:
             frames = self._seen.poses(known)
         if why := known.unseen(self._seen.usual_px2):
             return None, (Notice("pose-unseen", f"{PREFIX}{why}"),)
-        alone = "three targets determine them exactly; one that moves on its own would not show. Add a fourth."
-        exact = (Notice("pose-unchecked", f"{PREFIX}{alone}"),) if len(known.geometry) == 3 else ()
+        alone = "camera: three targets give its pose exactly; one that moves on its own would not show. Add a fourth."
+        exact = (Notice("pose-unchecked", alone),) if len(known.geometry) == 3 else ()
         return self._at_rows(known, frames, found, rows), exact
 
     def _surroundings(self) -> tuple[Surroundings | None, str]:

@@ -15,11 +15,12 @@ from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, StoredTarget, StoredTracking, TargetTracking
 from midspan.errors import UntrustedError
-from midspan.notices import Notice
+from midspan.notices import Notice, rounded
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.opening import lens_of
 from midspan.records import Floats, Nanoseconds, PixelTrack, Region, ScaleFactor, Status, seconds
 from midspan.settings.camera import CameraSettings
+from midspan.signals.health import runs
 from midspan.vision.frame_source import StoredTrack
 from midspan.vision.lens import Lens
 from midspan.vision.pose import Poses, by_geometry, inflation, poses
@@ -53,8 +54,23 @@ class SeenFrames:
         return found if whole.any() else np.full(self.variance_px2.shape[1:], np.inf)
 
     def poses(self, known: Surroundings) -> Poses:
-        """The pose in each frame."""
-        return poses(known.geometry, self.moved_px, self.variance_px2)
+        """The pose in each frame; while a target is not seen, as uncertain as the others differ from all of them.
+
+        That goes with the geometry's errors and lasts: its variance is for the mean over such a time.
+        """
+        found = poses(known.geometry, self.moved_px, self.variance_px2)
+        seen = np.isfinite(np.sum(self.moved_px + self.variance_px2, axis=-1))
+        whole = np.asarray(seen.all(axis=1))
+        if np.count_nonzero(whole) < BLOCK:
+            return found
+        covariance = found.covariance.copy()
+        for some in np.unique(seen[~whole & (seen.sum(axis=1) > 2)], axis=0):
+            moved = np.where(some[:, None], self.moved_px[whole], np.nan)
+            apart = poses(known.geometry, moved, self.variance_px2[whole]).value - found.value[whole]
+            here = (seen == some).all(axis=1)
+            for first, end in runs(here).tolist():
+                covariance[first:end] += (end - first) * np.diag(np.mean(apart**2, axis=0))
+        return replace(found, covariance=covariance)
 
     def slopes(self, known: Surroundings, frames: Poses, axis: int) -> tuple[Floats, Floats]:
         """By how much the parameters of the geometry change the motion along an axis, relative (1 + k,), and what each
@@ -260,7 +276,13 @@ class PosedTracking(StoredTracking):
 
     def warnings(self, axes: str | None = None) -> list[Notice]:
         """What of the targets' frames is worth reporting."""
-        return self.inner.warnings(axes)
+        hidden = ~np.isfinite(np.sum(self.frames.moved_px, axis=-1))
+        share = 100.0 * float(np.mean(np.any(hidden, axis=1)))
+        if share == 0.0:
+            return self.inner.warnings(axes)
+        names = ", ".join(name for k, name in enumerate(self.frames.names) if np.any(hidden[:, k]))
+        text = f"camera: {rounded(share)} % of the frames do not show {names}; the error band is wider there."
+        return [*self.inner.warnings(axes), Notice("lost", text)]
 
     def close(self) -> None:
         """Let the file go."""

@@ -59,7 +59,12 @@ class TrackFrames(FrameSource):
             # Where the `.json` of the table tells them.
             targets = read_json(path.with_suffix(".json"))["targets"]
             regions = {str(one["name"]): Region(*(int(v) for v in one["roi"])) for one in targets}
-        self.tracks = tuple(_track(columns, end, self._time_ns, step, regions) for end in _ends(columns))
+        names = {end: end.removeprefix("_") for end in _ends(columns)}
+        if "" in names:
+            names[""] = next((name for name in regions if name not in names.values()), "1")
+        self.tracks = tuple(
+            _track(columns, end, self._time_ns, step, (name, regions.get(name, NOWHERE))) for end, name in names.items()
+        )
         self._damage = found.damage
 
     @property
@@ -90,9 +95,9 @@ def _times(path: Path, columns: dict[str, Channel], request: FrameRequest) -> Na
 
 
 def _track(
-    columns: dict[str, Channel], end: str, time_ns: Nanoseconds, step: int, regions: dict[str, Region]
+    columns: dict[str, Channel], end: str, time_ns: Nanoseconds, step: int, placed: tuple[str, Region]
 ) -> StoredTrack:
-    """One target's columns; `end`: of their names."""
+    """One target's columns; `end`: of their names; placed: its own name, and where it was."""
 
     def column(name: str, otherwise: float) -> Floats:
         channel = columns.get(f"{name}{end}")
@@ -111,6 +116,5 @@ def _track(
     status = np.where(seen, Status.TRACKING, Status.LOST).astype(np.uint8)
     unknown = np.full(len(time_ns), np.nan)
     rows = PixelTrack(time_ns, x, y, single[:, 0], single[:, 1], quality, status, unknown, unknown)
-    name = end.removeprefix("_") or next(iter(regions), "1")
-    region, strength = regions.get(name, NOWHERE), np.where(seen, column("strength", 100.0), 0.0)
-    return StoredTrack(name, region, rows, strength, np.where(seen[:, None], reference, 0.0))
+    strength = np.where(seen, column("strength", 100.0), 0.0)
+    return StoredTrack(*placed, rows, strength, np.where(seen[:, None], reference, 0.0))
