@@ -205,6 +205,9 @@ def _show_phone(console: Console, tree: dict[str, Any]) -> None:
             columns = ", ".join(one["columns"])
             rows.append((name, f"{one['file']}: {columns} in {one['unit']}, {one['samples']} samples, mean {mean}"))
             rows += _times(one)
+            if "camera_axes" in one:
+                right, down, view = map(repr, one["camera_axes"])
+                rows.append(("camera's axes", f"x (right) {right}, y (down) {down}, z (view) {view}: its film's tilt"))
     upright = tree["vertical"]
     if upright is not None:
         value, angle = upright["gravity_m_s2"], upright["angle_deg"]

@@ -9,7 +9,7 @@ import numpy as np
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.geometry import FOCAL_STD
-from midspan.calibration.camera.gyroscope import GyroscopeFit, fit_gyroscope
+from midspan.calibration.camera.gyroscope import GyroscopeFit, StillError, fit_gyroscope
 from midspan.calibration.camera.tilt import apart
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
@@ -246,7 +246,7 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
         parts = parts or fit_camera(views, seen, reported, second, without_tilt)
     except UntrustedError as error:
         # What a gyroscope would have taken off may be the reason.
-        error.args = (" ".join((str(error), *said)),)
+        error.more = " ".join((error.more, *said)).strip()
         raise
     main = _with_inclination(recording, parts[0]) if found is None else _with_tilt(parts[0], found)
     parts = (replace(main, warnings=(*said, *main.warnings)), *parts[1:])
@@ -291,7 +291,9 @@ def _gyroscope_fit(
     try:
         found = fit_gyroscope(view, seen, series, parts, noise_density=density, bias_std=bias_std, focal_px=known)
     except UntrustedError as error:
-        return None, (Notice("part-left-out", f"[gyroscope] is left out of the result. {error}"),)
+        # Where neither it nor distances show a tilt, nothing is missing.
+        code = "tilt" if isinstance(error, StillError) and not parts else "part-left-out"
+        return None, (Notice(code, f"[gyroscope] is left out of the result. {error}"),)
     # Of the tilt the targets' own notice says the size.
     return found, tuple(line for line in found.notices if line.code != "tilt" or not parts)
 
