@@ -58,7 +58,8 @@ def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy,
     if not found:
         if len(refused) == 1:
             raise refused[0][1]
-        raise UntrustedError(" ".join(f"{view.sensor}: {error}" for view, error in refused))
+        first, *others = (f"{view.sensor}: {error}" for view, error in refused)
+        raise UntrustedError(first, " ".join((*others, *(error.more for _, error in refused if error.more))))
     reported = tuple(
         Notice("part-left-out", f"[{view.sensor}] is left out of the result. {error}") for view, error in refused
     )
@@ -92,9 +93,8 @@ def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
 
 
 def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
-    view, moved = where_it_sees(recording)
-    with in_words_of(view.sensor):
-        tracking = open_tracking(view, None, progress, judge=judge_of(view))
+    with in_words_of(recording.sensor):
+        view, tracking, moved = tracking_by_acceleration(recording, progress)
         if view.posed:
             tracking = posed(view.settings.first_camera, tracking, view.accelerometer.camera_offset_m)
         if isinstance(tracking, PosedTracking):
@@ -114,6 +114,12 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
         reported += [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]
     reported += [line for part in parts for line in part.warnings]
     return SeenBy(parts, tracking, tuple(renamed(line, view.sensor) for line in reported))
+
+
+def tracking_by_acceleration(recording: Recording, progress: Progress) -> tuple[Recording, CameraTracking, list[str]]:
+    """A camera's view, its tracking, in which the accelerometer chose the targets that are not given, and notes."""
+    view, moved = where_it_sees(recording)
+    return view, open_tracking(view, None, progress, judge=judge_of(view)), moved
 
 
 def _by_poses(view: Recording, tracking: PosedTracking) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
@@ -156,7 +162,9 @@ def _in_best_range(
     tracking.close()
     again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
     again.range_surface = surface
-    return again, calibrate_camera(view, again)
+    parts = calibrate_camera(view, again)
+    again.choice = tracking.choice
+    return again, parts
 
 
 def _taught(
