@@ -135,7 +135,7 @@ def in_words_of_two_files(accel: Path, second: Path | None) -> Iterator[None]:
         text, files = str(error), [one for one in (accel, second) if one is not None]
         named = KEYS.search(text)
         if named and "midspan init" not in text:
-            where = f"the recording.toml that `{shlex.join(('midspan', 'init', *map(str, files)))}` writes"
+            where = f"the recording.toml of `{shlex.join(('midspan', 'init', *map(str, files)))}`"
             error.args = (f"{text.rstrip()} Set keys such as {named[0]} in {where}.",)
         raise
 
