@@ -1,5 +1,6 @@
 """What the commands say of mistakes that everybody makes once, and of what they print for a person."""
 
+import ast
 import json
 import re
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import midspan
 from midspan.cli.main import run
 from recording_edits import acceleration
 
@@ -197,3 +199,27 @@ def test_small_mistakes_in_a_recording_are_explained(tmp_path: Path, capsys: pyt
 
 def test_a_name_with_blanks_that_is_not_quoted_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
     assert "need quotes" in refused(["estimate", "a.csv", "b.mkv", "--value", "Voie", "3"], capsys)
+
+
+# On the terminal the name of the command and of one or two files come before it, where to look after it: 60 in all.
+MAX_WORDS = 52
+
+
+def _literal(part: ast.expr) -> str:
+    """The words of a text, one for each figure or name that is put into it."""
+    if isinstance(part, ast.BinOp):
+        return _literal(part.left) + _literal(part.right)
+    if isinstance(part, ast.JoinedStr):
+        return "".join(_literal(one) for one in part.values)
+    return part.value if isinstance(part, ast.Constant) and isinstance(part.value, str) else "figure"
+
+
+def test_a_refusal_is_short_and_the_rest_is_for_verbose() -> None:
+    long = []
+    for file in Path(midspan.__file__).parent.rglob("*.py"):
+        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.args):
+                continue
+            if call.func.id.endswith("Error") and (count := len(_literal(call.args[0]).split())) > MAX_WORDS:
+                long.append(f"{file.name}:{call.lineno}: {count} words")
+    assert long == []

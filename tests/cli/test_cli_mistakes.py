@@ -12,12 +12,18 @@ import numpy as np
 import pytest
 import tomli_w
 
+import midspan
 from midspan.cli.main import run
+from midspan.errors import MidspanError
+from midspan.settings.two_files import in_words_of_two_files
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.thermal.formats import open_pictures
+from repeats import slow
 
 GRAVITY = 9.80665
 SECONDS, RATE_HZ, FRAMES_HZ = 30.0, 100.0, 10.0
+# A refusal on the terminal; --verbose says more.
+MAX_WORDS = 60
 # Parts of the film, side by side: what the camera should look at, dirt on the lens, a thing with its own motion, sky.
 TARGET, STILL, MOVER, SKY = ([4 + 90 * k, 8, 64, 64] for k in range(4))
 
@@ -219,10 +225,14 @@ MISTAKES: dict[str, tuple[Callable[[Desk], None], int, str]] = {
     "m/s² declared as mm/s²": (scaled(1.0, "mm/s^2"), 0, r"serious: .*1 g in m/s\^2 .*\[unit-doubtful\]"),
     "m/s² declared as g, gravity taken off": (level_and_optics, 0, r"accelerometer.unit.*\[scale-implausible\]"),
     "unit that is no acceleration": (keys("accelerometer", unit="cm"), 2, "unit.*cm"),
-    "channel of another axis": (keys("accelerometer", value="x"), 4, "Check camera.direction, accelerometer.value"),
+    "channel of another axis": (keys("accelerometer", value="x"), 4, "Check camera.direction .*accelerometer.value"),
     "channel that is not there": (keys("accelerometer", value="accel_z"), 2, "accel_z.*'z'"),
     "displacement as acceleration": (displacement_as_acceleration, 4, "accelerometer.value"),
-    "image axes swapped": (keys("camera", direction="x"), 4, "the image does not: check camera.direction"),
+    "image axes swapped": (
+        keys("camera", direction="x"),
+        4,
+        "the image does not: check camera.direction",
+    ),
     "film rotated": (rotated, 4, "the image does not: check camera.direction"),
     "film stabilised": (stabilised, 4, "the image does not: .*no stabiliser"),
     "region on dirt on the lens": (keys("camera", roi=STILL), 4, "the image does not: .*fixed to the camera"),
@@ -263,6 +273,14 @@ MISTAKES: dict[str, tuple[Callable[[Desk], None], int, str]] = {
 }
 
 
+def words_of(error: MidspanError) -> int:
+    """How many words of a refusal `estimate` prints of two files, where it leads to the keys' file as well."""
+    with pytest.raises(MidspanError) as refused, in_words_of_two_files(Path("accel.csv"), Path("film.mkv")):
+        raise type(error)(str(error))
+    pointer = "--verbose lists figures and other causes." if error.more else ""
+    return len(f"midspan: {refused.value} {pointer}".split())
+
+
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_refused_or_warned_of_with_its_cause(mistake: str, desk: Desk, capsys) -> None:
     spoil, code, said = MISTAKES[mistake]
@@ -270,8 +288,13 @@ def test_a_mistake_is_refused_or_warned_of_with_its_cause(mistake: str, desk: De
     desk.keys = {name: {k: v for k, v in own.items() if v is not None} for name, own in desk.keys.items()}
     if not (desk.folder / "accel.csv").exists():
         desk.write()
-    found = run(["calibrate", str(desk.folder)])
-    text = capsys.readouterr().err
+    if code:
+        with pytest.raises(MidspanError) as refused:
+            midspan.estimate(desk.folder)
+        found, text = refused.value.exit_code, f"{refused.value} {refused.value.more}"
+        assert words_of(refused.value) <= MAX_WORDS, str(refused.value)
+    else:
+        found, text = run(["calibrate", str(desk.folder)]), capsys.readouterr().err
     assert (found, bool(re.search(said, text))) == (code, True), text
 
 
@@ -313,6 +336,25 @@ def test_a_channel_with_a_share_of_the_motion_of_another_is_warned_of(desk: Desk
     np.savetxt(desk.folder / "accel.csv", shares, fmt="%.6f", delimiter=",", header=heading, comments="")
     assert run(["calibrate", str(desk.folder)]) == code
     assert re.search(r"serious: .*'z' has 50 times the motion of 'y' and carries gravity.*", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("spoil", [other_clock, *slow(lambda desk: None)])
+def test_the_picture_shows_the_region_that_an_estimate_takes(desk: Desk, capsys, spoil: Callable[[Desk], None]) -> None:
+    spoil(desk)
+    desk.keys["camera"].pop("roi")
+    desk.keys = {name: {k: v for k, v in own.items() if v is not None} for name, own in desk.keys.items()}
+    desk.write()
+    picture, files = str(desk.folder / "look.png"), [str(desk.folder / name) for name in ("accel.csv", "film.npy")]
+    asked = ["--value", "z", "--unit", "m/s^2", "--rate-hz", f"{FRAMES_HZ:g}"]
+    pairs = [([str(desk.folder)], "result.csv", []), (files, "film.csv", asked)]
+    for given, result, more in pairs:
+        capsys.readouterr()
+        assert run(["inspect", *given, *more, "--picture", picture, "--json"]) == 0
+        regions = json.loads(capsys.readouterr().out)["regions"]
+        assert run(["estimate", *given, *more, "-o", str(desk.folder / result), "-q"]) == 0
+        taken = json.loads((desk.folder / result).with_suffix(".json").read_text())["calibration"]["camera"]["roi"]
+        assert regions["chosen"] == [taken]
+        assert taken in [place["roi"] for place in regions["places"]]
 
 
 def test_the_recording_without_a_mistake_has_no_warning(desk: Desk, capsys) -> None:

@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import phone_logs
 from midspan.errors import DataError
 from midspan.sources import zipped
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.phone import is_phone_log, open_phone_log
+from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from phone_logs import BEGUN_NS, GRAVITY_M_S2, axes_of, folder_of, phyphox, phyphox_sensors, sensor_logger, zip_of
+from phone_walks import CAMERA, HELD
 
 TIME_S = 0.01 * np.arange(400)
 VALUE = 0.05 * np.sin(2.0 * np.pi * 2.0 * TIME_S)
@@ -161,3 +164,34 @@ def test_other_folders_are_no_logs(tmp_path):
     assert not is_phone_log(tmp_path / "none.zip")
     assert not is_phone_log("a\0b")
     assert not is_phone_log(None)
+
+
+@pytest.mark.parametrize("reversed_", [False, True])
+@pytest.mark.parametrize("held", HELD)
+def test_the_axes_of_the_camera_are_those_of_the_phone_turned(tmp_path, held, reversed_):
+    # A rotation about any axis of the world, in the axes of the phone and of its camera.
+    rate = np.random.default_rng(1).normal(0.0, 1.0, (len(TIME_S), 3))
+    of_phone = Rotation.from_euler("z", HELD[held], degrees=True).inv()
+    force = of_phone.apply(np.tile([0.1, GRAVITY_M_S2, -0.2], (len(TIME_S), 1)))
+    platform = "ios,false" if reversed_ else "ios,true"
+    files = {
+        "Metadata.csv": f"version,platform,standardisation\n3,{platform}\n",
+        "TotalAcceleration.csv": phone_logs.sensor_table(TIME_S, -force if reversed_ else force),
+        "Gyroscope.csv": phone_logs.sensor_table(TIME_S, of_phone.apply(rate)),
+    }
+    log = open_phone_log(folder_of(tmp_path, files))
+    assert (log.reversed, log.vertical.up) == (reversed_, held in ("upright", "top to the left"))
+    for axis, wanted in zip(log.camera_axes, (rate @ CAMERA.T).T, strict=True):
+        found = read_series(
+            log.gyroscope.path,
+            SeriesRequest("rotation rate", log.gyroscope.time, log.gyroscope.along(axis), log.gyroscope.unit),
+        )
+        # The table has nine digits after the point.
+        np.testing.assert_allclose(found.value, wanted, atol=1e-8)
+
+
+def test_a_phone_that_lies_flat_or_askew_shows_no_axes_of_its_picture(tmp_path):
+    flat = open_phone_log(folder_of(tmp_path / "flat", sensor_logger(TIME_S, axes_of(VALUE, "z"))))
+    askew = READINGS @ Rotation.from_euler("zx", [45.0, 40.0], degrees=True).as_matrix().T
+    assert flat.camera_axes is None
+    assert open_phone_log(folder_of(tmp_path / "askew", sensor_logger(TIME_S, askew))).camera_axes is None

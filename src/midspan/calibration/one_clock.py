@@ -170,7 +170,8 @@ def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalma
         f"{sensor}: its clock jumps, or frames are lost, more often than the motion can show: after correction "
         f"{100 * share[worst]:.0f} % of the measurements from {shown(begin)} to "
         f"{shown(begin + round(WINDOW_S * NANOSECONDS))} still contradict the acceleration. Give a time stamp for "
-        "each frame, or cut the recording where the clock is set. Frozen readings look the same: leave them out."
+        "each frame, or cut the recording where the clock is set.",
+        more="Frozen readings look the same: leave them out.",
     )
 
 

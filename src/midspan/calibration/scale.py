@@ -97,14 +97,16 @@ NOT_SHOWN = (
     "in the accelerometer's logger, a loose or clipped accelerometer."
 )
 
+DIRECTION = "camera.direction (with two files: --direction)"
+
 
 def of_no_camera(scale_m_per_px: float) -> str:
     """A sentence where a scale factor is out of any camera's reach, else empty."""
     if abs(scale_m_per_px) <= LARGEST_M_PER_PX:
         return ""
     return (
-        f"Check camera.direction first (with two files: --direction): more than {1e3 * LARGEST_M_PER_PX:g} mm/px, as "
-        "here, is implausible; the motion is probably along the other image axis. "
+        f"Check {DIRECTION} first: more than {1e3 * LARGEST_M_PER_PX:g} mm/px, as here, is implausible; the motion is "
+        "probably along the other image axis. "
     )
 
 
@@ -287,13 +289,16 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float, clocks: str) -> None:
     seen, shaken = float(np.std(rows[:, 1])), float(np.std(pair.samples[:, 1]))
     moved = f"image motion {seen:.3g} px rms with noise {noise:.2g} px"
     figures = f"Found: {moved}, acceleration {1e3 * shaken:.3g} mm/s² rms."
-    slow, no_agreement = _slow_samples(pair), "No agreement between image and accelerometer: "
+    slow, no_agreement = _slow_samples(pair), "No agreement between image and accelerometer:"
     if seen > CLEARLY_MOVING * noise and gain < MIN_GAIN:
+        check = slow or (
+            f"Check {DIRECTION}, accelerometer.value, camera.roi, camera.rate_hz, and that both files are of the same "
+            "event."
+        )
         raise NoAgreementError(
-            f"{no_agreement}{slow}the image moves, but not with the acceleration. Check that both files are of the "
-            "same event, camera.roi and camera.direction.",
-            more=f"{figures} Check camera.direction, accelerometer.value and the region: a fixed target for a camera "
-            f"on the structure, the structure at the accelerometer for a camera on a tripod. {clocks} {NOT_SHOWN}",
+            f"{no_agreement} the image moves, but not with the acceleration. {check}",
+            more=f"{figures} The region must show a fixed target for a camera on the structure, the structure at the "
+            f"accelerometer for a camera on a tripod. {clocks} {NOT_SHOWN}",
         )
     would_be = too_vague(1.0 / fit.ratio, relative)
     alias, shakes = alias_in_words(pair), shaken > CLEARLY_MOVING * white_noise(pair.samples[:, 1])
@@ -304,24 +309,26 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float, clocks: str) -> None:
     if seen > LIKELY_MOVING * noise and shakes and not alias:
         # What moves for certain, and otherwise, contradicts.
         contradicts = seen > CLEARLY_MOVING * noise
-        check = "" if first else "Check camera.roi, camera.direction, and that both files are of the same event."
-        text = f"{no_agreement}{slow}both move, but too differently for a scale factor: {would_be}. {first}{check}"
-        more = f"{figures} Check accelerometer.value. {clocks} {'' if contradicts else livelier}{NOT_SHOWN}"
-        raise NoAgreementError(text.rstrip(), more=more) if contradicts else UntrustedError(text.rstrip(), more)
+        check = slow or first or "Check camera.roi, camera.direction, and that both files are of the same event."
+        text = f"{no_agreement} both move, but too differently for a scale factor. {check}".rstrip()
+        more = f"{figures} The scale factor would be {would_be}. Check accelerometer.value. {clocks} "
+        more += f"{'' if contradicts else livelier}{NOT_SHOWN}"
+        raise NoAgreementError(text, more=more) if contradicts else UntrustedError(text, more)
     static = (
-        "check camera.direction, camera.roi (an object fixed to the camera shows no motion), and that no stabiliser "
+        f"check {DIRECTION}, camera.roi (an object fixed to the camera shows no motion), and that no stabiliser "
         "removes the motion."
     )
     if shakes and not alias:
-        text = f"Too little motion in the image: {slow}the accelerometer moves and the image does not: {static} {first}"
         raise UntrustedError(
-            text.rstrip(),
+            f"Too little motion in the image: the accelerometer moves, the image does not: {slow or static}".rstrip(),
             f"{figures} The scale factor would be {would_be}. Check that both files are of the same event. {clocks} "
             f"{livelier}".rstrip(),
         )
+    why = slow or alias
     raise UntrustedError(
-        f"Too little motion to calibrate the scale factor ({moved}): {slow}{alias}{livelier}".rstrip(),
-        f"{figures} The scale factor would be {would_be}. {first}If the structure did move, {static} {clocks}",
+        f"Too little motion to calibrate the scale factor{f'. {why}' if why else f' ({moved}). {livelier}'}".rstrip(),
+        f"{figures} The scale factor would be {would_be}. {first}If the structure did move, {static} {clocks} "
+        f"{livelier if why else ''}".rstrip(),
     )
 
 
@@ -374,7 +381,9 @@ def _refuse_better(
             return
         raise UntrustedError(
             f"Image and accelerometer agree better at a clock offset of {offset_s:+.3g} s than anywhere within "
-            f"±{max_offset_s:g} s, but that fit is not trustworthy either. {error}"
+            f"±{max_offset_s:g} s, but that fit is not trustworthy either. Check camera.start_s, camera.roi, and that "
+            "both files are of the same event.",
+            f"{error} {error.more}".rstrip(),
         ) from None
     raise NoAgreementError(
         f"No agreement between image and accelerometer within ±{max_offset_s:g} s: their clocks seem to differ by "
@@ -390,16 +399,15 @@ def _refuse_disagreement(pair: Pair, fit: Fit, usual: float, clocks: str) -> Non
     if left > max(UNEXPLAINED_NOISE * usual, UNEXPLAINED_SHARE * moved):
         raise NoAgreementError(
             f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms remain "
-            f"unexplained; the noise of a frame is {usual:.2g} px. {_slow_samples(pair)}Check camera.roi, "
-            "camera.direction and camera.rate_hz.",
+            f"unexplained; the noise of a frame is {usual:.2g} px. "
+            f"{_slow_samples(pair) or 'Check camera.roi, camera.direction and camera.rate_hz.'}".rstrip(),
             more=f"{clocks} {NOT_SHOWN}",
         )
     if needed := noise_needed(pair, fit):
         raise NoAgreementError(
-            f"No agreement between image and accelerometer: {needed} and noise of about "
-            f"{1e3 * white_noise(pair.samples[:, 1]):.2g} mm/s². Check that both files are of the same event, "
+            f"No agreement between image and accelerometer: {needed}. Check that both files are of the same event, "
             "camera.direction, camera.roi and accelerometer.unit.",
-            more=f"{clocks} {NOT_SHOWN}",
+            more=f"Its noise is about {1e3 * white_noise(pair.samples[:, 1]):.2g} mm/s². {clocks} {NOT_SHOWN}",
         )
 
 

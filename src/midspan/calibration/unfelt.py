@@ -38,6 +38,9 @@ MIN_SUPPORTED, MAX_WIDE = 0.5, 0.1
 # segments over which steps are looked for.
 NEAR_NS = NANOSECONDS
 
+# What separates a radar's target from interference.
+ALL_BINS = "The bins of all ranges (16 or more) separate interference from the target: store them."
+
 
 def refuse_unfelt(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Floats, variance_m2: Floats) -> None:
     """UntrustedError where a displacement (n,) differs from the acceleration by far more than that shows.
@@ -74,11 +77,12 @@ def _refuse_windows(
         first, last = (int(time_ns[one]) for one in (windows[k].start, windows[k].stop - 1))
         raise UntrustedError(
             f"From {shown(first)} to {shown(last)} the displacement moves by {1e3 * np.sqrt(differs[k]):.3g} mm rms "
-            f"that the accelerometer would have shown: it shows {1e3 * np.sqrt(felt[k]):.2g} mm there and "
-            f"{1e3 * np.sqrt(np.mean(felt)):.2g} mm on the whole. Either the sensor jumps (a GNSS receiver between "
-            "fixed and float solutions, a radar under interference) or its clock does: leave these values out of the "
-            "file. Or the accelerometer drifts (warm-up) or does not measure slow motion (piezoelectric, a logger's "
-            "high-pass): use one that measures down to 0 Hz."
+            f"that the accelerometer would have shown: it shows {1e3 * np.sqrt(felt[k]):.2g} mm there. "
+            "The sensor or its clock jumps: leave these values out of the file. Or the accelerometer does not measure "
+            "slow motion: use one that measures down to 0 Hz.",
+            more=f"It shows {1e3 * np.sqrt(np.mean(felt)):.2g} mm on the whole. A GNSS receiver jumps between fixed "
+            "and float solutions, a radar under interference. Piezoelectric sensors and a logger's high-pass leave "
+            "slow motion out; warm-up adds some.",
         )
 
 
@@ -99,8 +103,8 @@ def refuse_steps_unseen(steps_ns: Sequence[int], unseen_ns: Nanoseconds, sensor:
             raise UntrustedError(
                 f"{sensor}: its clock seems to step at {shown(step_ns)}, but its target is not visible in frames "
                 f"within {NEAR_NS / NANOSECONDS:g} s of that: a lost cycle, interference or another reflector in the "
-                "bin looks the same. Give a time stamp for each frame, leave frames with interference out of the "
-                "file, or store the bins of all ranges (16 or more), which separate interference from the target."
+                "bin looks the same. Give a time stamp for each frame, or leave frames with interference out.",
+                more=ALL_BINS,
             )
 
 
@@ -114,9 +118,9 @@ def refuse_contradicted(events: Sequence[Event], targets: int, sensor: str) -> N
     if found and len({event.text for event in found}) >= targets:
         raise UntrustedError(
             f"{sensor}: at {shown(found[0].time_ns)} its phase and the acceleration contradict each other, and no "
-            "other target shows which is right: its clock steps, frames are lost, the target moves on its own, or the "
-            "accelerometer was knocked. Cut the recording there and calibrate (calibration.window_s) on a part "
-            "without it; give each frame a time stamp, or use a second target."
+            "other target shows which is right. Cut the recording there and calibrate (calibration.window_s) on a "
+            "part without it; give each frame a time stamp, or use a second target.",
+            more="Its clock steps, frames are lost, the target moves on its own, or the accelerometer was knocked.",
         )
 
 
@@ -153,8 +157,8 @@ def refuse_lost_cycles(
                 f"From {shown(int(time_ns[0]))} to {shown(int(time_ns[-1]))} the radar loses its target, and the "
                 f"displacement differs from the acceleration by {1e3 * np.sqrt(differs):.3g} mm rms (accelerometer "
                 f"noise: {1e3 * np.sqrt(noise):.2g} mm). A cycle was lost, or interference or a moving object was "
-                "taken for the target: leave these frames out of the file, or store the bins of all ranges (16 or "
-                "more), which separate interference from the target."
+                "taken for the target: leave these frames out of the file.",
+                more=ALL_BINS,
             )
 
 

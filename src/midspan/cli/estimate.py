@@ -141,6 +141,9 @@ def _of_two_files(
         raise click.UsageError(f"--tracker {options['tracker']}: {second} is a table, with nothing to track.")
     tree = found.sections
     tree["fusion"] = {"literal": bool(options["literal"])}
+    if options["literal"]:
+        # No printed method takes one.
+        tree.pop("gyroscope", None)
     for section, key in ((found.second, "tracker"), ("fusion", "method")):
         if options[key]:
             tree[section][key] = options[key]
@@ -190,12 +193,12 @@ def _own_place(opened: "Recording") -> Path:
     usual = opened.folder / "result.csv"
     if opened.file.suffix == ".toml" or not usual.exists():
         return usual
-    named = [one.settings.file for one in opened.sensors[:1]] + [opened.accelerometer.file]
+    named = [file for _, file in opened.streams]
     with suppress(OSError, TreeError, AttributeError, KeyError, TypeError):
         sections = [one for one in read_json(usual.with_suffix(".json"))["settings"].values() if isinstance(one, dict)]
         if {one["file"] for one in sections if "file" in one} == set(named):
             return usual
-    return opened.folder / f"{Path(named[0]).stem}.csv"
+    return opened.folder / f"{Path(opened.sensors[0].settings.file).stem}.csv"
 
 
 def open_with(

@@ -1,4 +1,4 @@
-"""`midspan inspect RECORDING`."""
+"""`midspan inspect RECORDING`, or `midspan inspect ACCEL FILE2`."""
 
 import math
 import os
@@ -11,45 +11,46 @@ from midspan.cli.console import Console, common_options
 
 if TYPE_CHECKING:
     from midspan.recording.streams.recording import Recording
+    from midspan.settings.two_files import Choices
 
 
 @click.command("inspect")
 @click.argument("recording", type=click.Path())
+@click.argument("file2", type=click.Path(), required=False)
+@click.option("--value", help="Two files: channel along the motion.")
+@click.option("--unit", help="Two files: unit of the channel, if the file has none.")
+@click.option("--direction", type=click.Choice(["x", "y"]), help="Two files: image axis of the motion. Default: y.")
+@click.option("--rate-hz", type=float, help="Two files: rate of FILE2, if it has no times.")
 @click.option("--all-frames", is_flag=True, help="Check all frames, not only the first 600.")
 @click.option(
     "--picture", type=click.Path(), help="Draw the first frame, candidate regions and motion (.png .svg .pdf)."
 )
 @common_options
-def command(recording: str, all_frames: bool, picture: str | None, quiet: bool, as_json: bool) -> None:
-    """Check a recording, a phone's log or a file: streams, rates, gaps, clipping, frozen frames, overlap, units."""
-    from midspan.cli.targets import check_picture
-    from midspan.recording.inspect import inspect_recording
-    from midspan.recording.streams.recording import open_recording
-    from midspan.sources.accelerometer.phone import is_phone_log
-    from midspan.sources.inspect import inspect_file, inspect_phone
+def command(
+    recording: str, file2: str | None, all_frames: bool, picture: str | None, quiet: bool, as_json: bool, **options: Any
+) -> None:
+    """Check a recording, a phone's log or a file: streams, rates, gaps, clipping, frozen frames, overlap, units.
 
-    console, path = Console(quiet, as_json), Path(recording)
-    if is_phone_log(path):
-        if picture is not None:
-            raise click.UsageError(
-                "--picture: needs a recording or a film; give the film, or run `midspan init` first."
-            )
-        tree = inspect_phone(path, console.progress)
-        console.done()
-        _show_phone(console, tree)
-        console.document(tree)
-        return
-    opened = None if _is_single(path) else open_recording(path)
+    Of an accelerometer file and FILE2 both, and with --picture the region that `estimate` selects.
+    """
+    from midspan.cli.targets import check_picture
+    from midspan.recording.streams.recording import open_recording
+    from midspan.settings.two_files import Choices, in_words_of_two_files
+    from midspan.sources.accelerometer.phone import is_phone_log
+
+    console, path, choices = Console(quiet, as_json), Path(recording), Choices(**options)
+    second, log = None if file2 is None else Path(file2), is_phone_log(path)
+    if choices.named and file2 is None and not log:
+        raise click.UsageError(f"--{choices.named[0].replace('_', '-')}: needs two files, ACCEL FILE2.")
+    opened = None
+    if second is not None or (log and picture is not None):
+        with in_words_of_two_files(path, second):
+            opened = _of_two_files(path, second, choices)
+    elif not log and not _is_single(path):
+        opened = open_recording(path)
     # Refused before the work where it could not be written.
     target = None if picture is None else check_picture(picture, "--picture", *([] if opened is None else [opened]))
-    if opened is None:
-        tree = inspect_file(path, console.progress)
-        console.done()
-        _show_file(console, tree)
-    else:
-        tree = inspect_recording(opened, all_frames, console.progress)
-        console.done()
-        show(console, tree)
+    tree = _looked(console, path, None if log and second is None else opened, all_frames)
     if target is not None:
         tree |= _picture(console, target, path if opened is None else opened)
     console.document(tree)
@@ -59,6 +60,30 @@ def command(recording: str, all_frames: bool, picture: str | None, quiet: bool, 
         if isinstance(branch, dict) and "error" in branch:
             click.echo(f"midspan: {branch['error']}", err=True)
             raise click.exceptions.Exit(branch["exit_code"])
+
+
+def _of_two_files(accel: Path, second: Path | None, choices: "Choices") -> "Recording":
+    from midspan.recording.streams.recording import Recording
+    from midspan.settings.two_files import draft, settings_of
+
+    return Recording(*settings_of(draft(accel, second, choices)))
+
+
+def _looked(console: Console, path: Path, opened: "Recording | None", all_frames: bool) -> dict[str, Any]:
+    """Look at a recording, or at a phone's log or a single file where none is open, and print what is found."""
+    from midspan.recording.inspect import inspect_recording
+    from midspan.sources.accelerometer.phone import is_phone_log
+    from midspan.sources.inspect import inspect_file, inspect_phone
+
+    if opened is not None:
+        tree, printed = inspect_recording(opened, all_frames, console.progress), show
+    elif is_phone_log(path):
+        tree, printed = inspect_phone(path, console.progress), _show_phone
+    else:
+        tree, printed = inspect_file(path, console.progress), _show_file
+    console.done()
+    printed(console, tree)
+    return tree
 
 
 def _is_single(path: Path) -> bool:
@@ -205,6 +230,9 @@ def _show_phone(console: Console, tree: dict[str, Any]) -> None:
             columns = ", ".join(one["columns"])
             rows.append((name, f"{one['file']}: {columns} in {one['unit']}, {one['samples']} samples, mean {mean}"))
             rows += _times(one)
+            if "camera_axes" in one:
+                right, down, view = map(repr, one["camera_axes"])
+                rows.append(("camera's axes", f"x (right) {right}, y (down) {down}, z (view) {view}: its film's tilt"))
     upright = tree["vertical"]
     if upright is not None:
         value, angle = upright["gravity_m_s2"], upright["angle_deg"]

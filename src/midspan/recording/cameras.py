@@ -9,7 +9,7 @@ import numpy as np
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.geometry import FOCAL_STD
-from midspan.calibration.camera.gyroscope import GyroscopeFit, fit_gyroscope
+from midspan.calibration.camera.gyroscope import GyroscopeFit, StillError, fit_gyroscope
 from midspan.calibration.camera.tilt import apart
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
@@ -58,7 +58,8 @@ def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy,
     if not found:
         if len(refused) == 1:
             raise refused[0][1]
-        raise UntrustedError(" ".join(f"{view.sensor}: {error}" for view, error in refused))
+        first, *others = (f"{view.sensor}: {error}" for view, error in refused)
+        raise UntrustedError(first, " ".join((*others, *(error.more for _, error in refused if error.more))))
     reported = tuple(
         Notice("part-left-out", f"[{view.sensor}] is left out of the result. {error}") for view, error in refused
     )
@@ -92,9 +93,8 @@ def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
 
 
 def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
-    view, moved = where_it_sees(recording)
-    with in_words_of(view.sensor):
-        tracking = open_tracking(view, None, progress, judge=judge_of(view))
+    with in_words_of(recording.sensor):
+        view, tracking, moved = tracking_by_acceleration(recording, progress)
         if view.posed:
             tracking = posed(view.settings.first_camera, tracking, view.accelerometer.camera_offset_m)
         if isinstance(tracking, PosedTracking):
@@ -114,6 +114,12 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
         reported += [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]
     reported += [line for part in parts for line in part.warnings]
     return SeenBy(parts, tracking, tuple(renamed(line, view.sensor) for line in reported))
+
+
+def tracking_by_acceleration(recording: Recording, progress: Progress) -> tuple[Recording, CameraTracking, list[str]]:
+    """A camera's view, its tracking, in which the accelerometer chose the targets that are not given, and notes."""
+    view, moved = where_it_sees(recording)
+    return view, open_tracking(view, None, progress, judge=judge_of(view)), moved
 
 
 def _by_poses(view: Recording, tracking: PosedTracking) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
@@ -156,7 +162,9 @@ def _in_best_range(
     tracking.close()
     again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
     again.range_surface = surface
-    return again, calibrate_camera(view, again)
+    parts = calibrate_camera(view, again)
+    again.choice = tracking.choice
+    return again, parts
 
 
 def _taught(
@@ -246,7 +254,7 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
         parts = parts or fit_camera(views, seen, reported, second, without_tilt)
     except UntrustedError as error:
         # What a gyroscope would have taken off may be the reason.
-        error.args = (" ".join((str(error), *said)),)
+        error.more = " ".join((error.more, *said)).strip()
         raise
     main = _with_inclination(recording, parts[0]) if found is None else _with_tilt(parts[0], found)
     parts = (replace(main, warnings=(*said, *main.warnings)), *parts[1:])
@@ -291,7 +299,9 @@ def _gyroscope_fit(
     try:
         found = fit_gyroscope(view, seen, series, parts, noise_density=density, bias_std=bias_std, focal_px=known)
     except UntrustedError as error:
-        return None, (Notice("part-left-out", f"[gyroscope] is left out of the result. {error}"),)
+        # Where neither it nor distances show a tilt, nothing is missing.
+        code = "tilt" if isinstance(error, StillError) and not parts else "part-left-out"
+        return None, (Notice(code, f"[gyroscope] is left out of the result. {error}"),)
     # Of the tilt the targets' own notice says the size.
     return found, tuple(line for line in found.notices if line.code != "tilt" or not parts)
 

@@ -12,14 +12,13 @@ from midspan.engine.camera import Target
 from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.progress import Progress
-from midspan.recording.cameras import judge_of
+from midspan.recording.calibrate import calibrate_and_track
+from midspan.recording.cameras import tracking_by_acceleration
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.opening import given_targets, open_tracking, settings_of, where_it_sees
+from midspan.recording.tracking.opening import given_targets, settings_of
 from midspan.records import NANOSECONDS, Floats, Region
 from midspan.report.camera_figures import box, image, label
 from midspan.report.drawing import Colour, sheet, style, write_picture
-from midspan.settings.kinds import CAMERAS
-from midspan.settings.load import validate
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.thermal.formats import is_thermal, open_pictures
 from midspan.vision.candidates import Candidate
@@ -84,7 +83,7 @@ def verdict(place: Candidate) -> str:
 
 
 def look_at_recording(recording: Recording, progress: Progress) -> FirstLook:
-    """The first camera of a recording; the accelerometer decides between the places as in a calibration.
+    """The first camera of a recording; the places are those of its calibration, as an estimate makes it.
 
     Raises UsageError where there is no camera with images, what reading the frames raises.
     """
@@ -92,19 +91,24 @@ def look_at_recording(recording: Recording, progress: Progress) -> FirstLook:
         raise UsageError(f"{recording.file}: --picture must have a [camera] or [infrared] with images; it has none.")
     given = recording.cameras[0].settings.camera
     assert given is not None
-    view = _without_targets(recording).cameras[0]
+    chosen = _without_targets(recording)
+    view, notes = chosen.cameras[0], list[str]()
     camera = view.settings.camera
     assert camera is not None
-    notes: list[str] = []
-    tracking = None
+    settings = settings_of(view, camera)
+    ways: list[Callable[[], CameraTracking | None]] = [lambda: CameraTracking(view.frames, settings, progress)]
     if recording.has("accelerometer"):
-        view, moved = where_it_sees(view)
-        notes += moved
-        tracking = _tried(lambda: open_tracking(view, None, progress, judge=judge_of(view)), notes)
-    if tracking is None:
-        settings = settings_of(view, camera)
-        tracking = _tried(lambda: CameraTracking(view.frames, settings, progress), notes)
+        # Where no calibration is found, what it would have begun with is seen.
+        ways = [lambda: _calibrated(chosen, progress), lambda: tracking_by_acceleration(view, progress)[1], *ways]
+    tracking = next((found for way in ways if (found := _tried(way, notes)) is not None), None)
     return _look(view.frames, view.axis, tracking, given_targets(given), notes)
+
+
+def _calibrated(recording: Recording, progress: Progress) -> CameraTracking | None:
+    """The tracking of the first camera that a calibration ends with; None where it leaves that camera out."""
+    _, first = calibrate_and_track(recording, progress)
+    assert first is not None
+    return first if first.settings.sensor == recording.cameras[0].sensor else None
 
 
 def look_at_file(path: Path, progress: Progress) -> FirstLook:
@@ -117,20 +121,19 @@ def look_at_file(path: Path, progress: Progress) -> FirstLook:
 
 def _without_targets(recording: Recording) -> Recording:
     """The recording with its targets left to be chosen."""
-    tree = recording.settings.model_dump(exclude_none=True)
-    for kind in CAMERAS:
-        for section in tree[kind] if isinstance(tree.get(kind), list) else [tree.get(kind, {})]:
-            section.pop("roi", None)
-            section.pop("target", None)
-    return Recording(recording.file, validate(tree, str(recording.file)))
+    settings, untold = recording.settings, {"roi": None, "target": ()}
+    cameras = tuple(camera.model_copy(update=untold) for camera in settings.cameras)
+    infrareds = tuple(camera.model_copy(update=untold) for camera in settings.infrareds)
+    return Recording(recording.file, settings.model_copy(update={"cameras": cameras, "infrareds": infrareds}))
 
 
-def _tried(opened: Callable[[], CameraTracking], notes: list[str]) -> CameraTracking | None:
+def _tried(opened: Callable[[], CameraTracking | None], notes: list[str]) -> CameraTracking | None:
     """The tracking with its choice; None, with a note, where nothing can be chosen."""
     try:
         return opened()
     except MidspanError as error:
-        notes.append(str(error))
+        if str(error) not in notes:
+            notes.append(str(error))
         return None
 
 

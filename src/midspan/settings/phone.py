@@ -5,14 +5,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from midspan.errors import UsageError
+from midspan.settings.two_files import DIRECTION
+from midspan.sources.accelerometer.phone import MAX_SLANT_DEG
 
 if TYPE_CHECKING:
     from midspan.settings.two_files import Choices, Draft
     from midspan.sources.accelerometer.phone import PhoneLog, Vertical
 
 AXES = ("x", "y", "z")
-# Farther from the vertical than this no axis is the vertical one; an angle from the second on is said.
-MAX_TILT_DEG, SAID_TILT_DEG = 45.0, 10.0
+# An angle to the vertical from here on is said.
+SAID_TILT_DEG = 10.0
 # Milliseconds since 1970, as Sensor Logger names its films.
 NAMED_MS = re.compile(r"1\d{12}")
 
@@ -46,12 +48,40 @@ def put_acceleration(found: "Draft", log: "PhoneLog", film: Path, given: "Choice
         f"{log.app}; the phone's axes: x right, y up, z out of the screen",
     )
     found.put("accelerometer", "time", table.time)
-    found.put("accelerometer", "value", column, remark)
+    axes = _seen(log, film, column, given)
+    if axes is not None and log.with_gravity and (given.direction or DIRECTION) == "y":
+        # Along the view where that column points down, and against it where it points up.
+        found.put("accelerometer", "value_y", column, remark)
+        found.put("accelerometer", "value_z", table.along(axes[2] if axes[1] > 0 else -axes[2]), "shows the pitch")
+    else:
+        found.put("accelerometer", "value", column, remark)
     found.put("accelerometer", "unit", given.unit or table.unit, "" if given.unit else f"of {log.app}")
     count = f"{log.pauses} pause{'s' if log.pauses > 1 else ''}"
     paused = f" Its clock leaves out {count}, which a film's does not." if log.pauses else ""
-    found.said.append(f"{log.path.name} ({log.app}): {table.path.name}, axis {column!r}: {why}.{paused}")
+    turned = "" if axes is None or log.gyroscope is None else f" {log.gyroscope.path.name}: the phone's own tilt."
+    found.said.append(f"{log.path.name} ({log.app}): {table.path.name}, axis {column!r}: {why}.{paused}{turned}")
     return column
+
+
+def put_gyroscope(found: "Draft", log: "PhoneLog", film: Path, given: "Choices") -> None:
+    """Put the keys of the phone's gyroscope where the acceleration's axis is one of its own film's."""
+    own = found.sections["accelerometer"]
+    table, axes = log.gyroscope, _seen(log, film, own.get("value_y") or own["value"], given)
+    if table is None or axes is None:
+        return
+    found.put("gyroscope", "file", str(table.path.absolute()), "the phone's own tilt, in the image's axes")
+    found.put("gyroscope", "time", table.time)
+    for name, axis in zip(AXES, axes, strict=True):
+        found.put("gyroscope", f"value_{name}", table.along(axis))
+    found.put("gyroscope", "unit", table.unit, f"of {log.app}")
+
+
+def _seen(log: "PhoneLog", film: Path, column: str, given: "Choices") -> tuple[int, int, int] | None:
+    """The phone's axes along those of a film of its own camera, whose axis of the motion the column is; else None."""
+    axes = log.camera_axes if film in log.films and log.gyroscope is not None else None
+    if axes is None or log.acceleration.along(abs(axes["xy".index(given.direction or DIRECTION)])) != column:
+        return None
+    return axes
 
 
 def _chosen(log: "PhoneLog", film: Path, given: "Choices", choose: bool) -> tuple[str, str]:
@@ -69,7 +99,7 @@ def _chosen(log: "PhoneLog", film: Path, given: "Choices", choose: bool) -> tupl
         film in log.films,
         f"Select the axis along the measured motion with --value: {', '.join(map(repr, columns))}.",
     )
-    if vertical is None or vertical.angle_deg > MAX_TILT_DEG:
+    if vertical is None or vertical.angle_deg > MAX_SLANT_DEG:
         if choose:
             return columns[1], "gravity shows no vertical axis"
         why = "the log has no gravity" if vertical is None else "no axis is within 45 degrees of gravity"

@@ -44,7 +44,9 @@ class ChannelSettings(SeriesSettings):
     """One channel of a file, with its unit and noise."""
 
     value: Name | None = Field(
-        None, description="column, variable or channel of the values; default: the only suitable one"
+        None,
+        description="column, variable or channel of the values, `-NAME` with the other sign; default: the only "
+        "suitable one",
     )
     unit: Name | None = Field(None, description="unit of the values; overrides the file's; default: the file's")
     noise_std: Noise | None = Field(
@@ -62,7 +64,7 @@ class AccelerometerSettings(ChannelSettings):
         description="column along the image's x axis (right), instead of value; each reads +1 g where it points up",
     )
     value_y: Name | None = Field(None, description="column along the image's y axis (down), instead of value")
-    value_z: Name | None = Field(None, description="column along the view, instead of value")
+    value_z: Name | None = Field(None, description="column along the view, against it where value_y points up")
     axis: Literal["x", "y", "z"] | None = Field(
         None,
         description="with value_x, value_y, value_z: axis of the result's main columns; default: camera.direction",

@@ -135,7 +135,7 @@ def in_words_of_two_files(accel: Path, second: Path | None) -> Iterator[None]:
         text, files = str(error), [one for one in (accel, second) if one is not None]
         named = KEYS.search(text)
         if named and "midspan init" not in text:
-            where = f"the recording.toml that `{shlex.join(('midspan', 'init', *map(str, files)))}` writes"
+            where = f"the recording.toml of `{shlex.join(('midspan', 'init', *map(str, files)))}`"
             error.args = (f"{text.rstrip()} Set keys such as {named[0]} in {where}.",)
         raise
 
@@ -147,6 +147,7 @@ def draft(accel: Path, second: Path | None, given: Choices, *, choose: bool = Fa
     for a person to look at; else UsageError names them. Raises what reading the files does.
     """
     from midspan.settings.keys import described, recording_sections
+    from midspan.settings.phone import put_gyroscope
     from midspan.sources.accelerometer.select import SeriesRequest
     from midspan.sources.camera.formats import is_table
     from midspan.sources.camera.track_table import holds_tracks
@@ -157,6 +158,8 @@ def draft(accel: Path, second: Path | None, given: Choices, *, choose: bool = Fa
         _refuse(second, "no table", given, ("displacement_value", "displacement_unit"))
         frames = _frames(second, given.rate_hz)
         _camera(found, second, frames, _acceleration(found, log or accel, second, given, choose), given)
+        if log is not None:
+            put_gyroscope(found, log, second, given)
         return found
     _refuse(second, "a table, no pictures", given, ("direction",))
     _acceleration(found, log or accel, second, given, choose)
@@ -192,7 +195,9 @@ def _found(accel: Path, second: Path | None) -> "tuple[PhoneLog | None, Path]":
     if second is None:
         raise UsageError(f"{accel}: is no archive of a phone. Give the video or table that goes with it after it.")
     if is_phone_log(second):
-        raise UsageError(f"{second} is an archive of a phone, with an acceleration of its own. Remove {accel}.")
+        films = open_phone_log(second).films
+        film = f", or give its film alone: `midspan estimate {accel} {films[0]}`" if films else ""
+        raise UsageError(f"{second} is an archive of a phone, with an acceleration of its own. Remove {accel}{film}.")
     return None, second
 
 

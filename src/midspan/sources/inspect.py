@@ -91,6 +91,8 @@ def inspect_phone(path: Path, progress: Progress = silent) -> Tree:
     tree["vertical"] = (
         None if upright is None else {"column": log.acceleration.columns[upright.axis], **asdict(upright)}
     )
+    if log.gyroscope is not None and log.camera_axes is not None:
+        tree["gyroscope"]["camera_axes"] = [log.gyroscope.along(axis) for axis in log.camera_axes]
     films = [(film.relative_to(path).as_posix(), _file_of_frames(film, progress)) for film in log.films]
     return {**tree, "films": [{"file": name, **branch} for name, branch in films]}
 

@@ -204,7 +204,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
         return fit
     alone = len(targets) == 1
     lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
-    text, rest = " ".join(lines), " ".join((*more, *reported()))
+    text, rest = lines[0], " ".join((*lines[1:], *more, *reported()))
     raise NoAgreementError(text, float(np.median(apart_s)), rest) if apart_s else UntrustedError(text, rest)
 
 
@@ -222,10 +222,10 @@ def _refuse_pattern(share_std: float, estimated: ScaleFactor) -> None:
         return
     raise UntrustedError(
         "The thermal camera's fixed pattern is too strong for this scene to calibrate the scale factor: it may bias "
-        f"translations towards zero by {100 * share_std:.2g} % (σ; at most {100 * REFUSED_ABOVE:g} % is accepted) and "
-        f"with them the {1e3 * estimated.value_m_per_px:.4g} mm/px. Choose an infrared.roi with more contrast, run "
-        "the shutter correction before recording, or start where the target moves by half a pixel or more, which "
-        "separates the pattern from the scene."
+        f"translations towards zero by {100 * share_std:.2g} % (σ; at most {100 * REFUSED_ABOVE:g} % is accepted). "
+        "Choose an infrared.roi with more contrast, or run the shutter correction before recording.",
+        more=f"The {1e3 * estimated.value_m_per_px:.4g} mm/px are biased with them. A target that moves by half a "
+        "pixel or more from the beginning separates the pattern from the scene.",
     )
 
 

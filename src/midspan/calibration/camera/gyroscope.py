@@ -32,6 +32,10 @@ CERTAIN = 3.0
 MIN_TILT = 0.1
 
 
+class StillError(UntrustedError):
+    """The camera rotates too little for its gyroscope to help: nothing is wrong with it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GyroscopeFit:
     """A gyroscope relative to the camera on its box, along one image axis.
@@ -175,7 +179,7 @@ def _focal(settled: Sequence[Settled], lens: tuple[float, float] | None, width: 
         if known:
             _refuse_focal(value, std, width)
         if not certain:
-            raise UntrustedError(
+            raise StillError(
                 "gyroscope: the camera rotates too little, apart from what goes with the displacement, to show the "
                 "focal length. Give camera.lens, or choose a calibration.window_s with more rotation."
             )

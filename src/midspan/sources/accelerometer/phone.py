@@ -1,5 +1,6 @@
 """What a phone's own log holds: a folder or zip as the apps Sensor Logger and phyphox write it."""
 
+import csv
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from midspan.records import Floats, Nanoseconds
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
 from midspan.sources.accelerometer.clock import TIME_UNITS, numbers_to_ns
 from midspan.sources.accelerometer.formats import list_channels
+from midspan.sources.accelerometer.select import REVERSED
 from midspan.sources.accelerometer.units import measures, si_factor
 from midspan.sources.camera.formats import is_video
 from midspan.sources.zipped import SUFFIX, members, on_disk, zip_of
@@ -23,7 +25,7 @@ AXES = ("x", "y", "z")
 # Sensor Logger names its files after the sensors; the raw reading comes first, as no filter has been over it.
 ACCELERATIONS = ("TotalAcceleration.csv", "Accelerometer.csv", "AccelerometerUncalibrated.csv")
 GYROSCOPES = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
-GRAVITY = "Gravity.csv"
+GRAVITY, METADATA = "Gravity.csv", "Metadata.csv"
 # Its column of nanoseconds since 1970, and the one by which its tables are known.
 TIME, ELAPSED = "time", "seconds_elapsed"
 # What either app always writes.
@@ -38,6 +40,8 @@ REMEDY = (
 )
 # The mean of what is without gravity is near 0, with gravity 9.8 m/s², or 1 where it is in g.
 WITH_GRAVITY_M_S2 = 3.0
+# Farther from the vertical than this no axis is the vertical one.
+MAX_SLANT_DEG = 45.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +56,10 @@ class ThreeAxes:
     columns: tuple[str, ...]
     unit: str
     channels: tuple[Channel, ...]
+
+    def along(self, axis: int) -> str:
+        """The column of an axis 1, 2 or 3, with the sign of the opposite sense where that is negative."""
+        return f"{REVERSED if axis < 0 else ''}{self.columns[abs(axis) - 1]}"
 
     @property
     def mean(self) -> tuple[float, ...]:
@@ -72,18 +80,23 @@ class ThreeAxes:
 
 @dataclass(frozen=True, slots=True)
 class Vertical:
-    """The axis that is nearest to the vertical: its number, gravity's part along it (m/s²), and its angle to it."""
+    """The axis that is nearest to the vertical: its number, gravity's part along it (m/s²), and its angle to it.
+
+    up: whether the phone's axis points up.
+    """
 
     axis: int
     gravity_m_s2: float
     angle_deg: float
+    up: bool
 
 
 @dataclass(frozen=True, slots=True)
 class PhoneLog:
     """One recording of a phone: its acceleration, and gravity, gyroscope and films where it has them.
 
-    pauses: how often it was paused, with a clock that leaves the pauses out.
+    pauses: how often it was paused, with a clock that leaves the pauses out; reversed: whether accelerations have the
+    sign of an iPhone, which reads -g along an axis that points up (its rotation rates have the usual one).
     """
 
     path: Path
@@ -93,6 +106,12 @@ class PhoneLog:
     gyroscope: ThreeAxes | None
     films: tuple[Path, ...]
     pauses: int = 0
+    reversed: bool = False
+
+    @property
+    def with_gravity(self) -> bool:
+        """Whether the acceleration itself contains gravity."""
+        return float(np.linalg.norm(self.acceleration.mean_m_s2)) > WITH_GRAVITY_M_S2
 
     @property
     def vertical(self) -> Vertical | None:
@@ -103,8 +122,23 @@ class PhoneLog:
             if size > WITH_GRAVITY_M_S2:
                 axis = int(np.argmax(np.abs(mean)))
                 angle = np.arccos(min(1.0, abs(mean[axis]) / size))
-                return Vertical(axis, float(mean[axis]), float(np.degrees(angle)))
+                up = bool((mean[axis] > 0.0) != self.reversed)
+                return Vertical(axis, float(mean[axis]), float(np.degrees(angle)), up)
         return None
+
+    @property
+    def camera_axes(self) -> tuple[int, int, int] | None:
+        """The phone's axes along those of its rear camera's image: right, down, along the view; None where unknown.
+
+        Each is 1 (x), 2 (y) or 3 (z), negative in the opposite sense. A player shows the image upright; the camera
+        looks from the phone's back, against z.
+        """
+        upright = self.vertical
+        if upright is None or upright.angle_deg > MAX_SLANT_DEG or upright.axis == 2:
+            return None
+        sense = 1 if upright.up else -1
+        # With x up the phone's top, y, points to the left.
+        return (-sense * 2, -sense * 1, -3) if upright.axis == 0 else (sense * 1, -sense * 2, -3)
 
 
 def is_phone_log(path: object) -> bool:
@@ -220,7 +254,20 @@ def _sensor_logger(path: Path, tables: dict[str, Path], read: dict[str, ChannelS
     if acceleration.path.name == ACCELERATIONS[-1] and np.linalg.norm(acceleration.mean) < WITH_GRAVITY_M_S2:
         # Raw readings of an iPhone are in g.
         acceleration = replace(acceleration, unit="g")
-    return PhoneLog(path, SENSOR_LOGGER, acceleration, first((GRAVITY,), "m/s^2"), first(GYROSCOPES, "rad/s"), films=())
+    gravity, gyroscope = first((GRAVITY,), "m/s^2"), first(GYROSCOPES, "rad/s")
+    own = _metadata(acceleration.path.parent / METADATA)
+    # An iPhone's signs stay unless the app's setting for units and frames changes them.
+    reversed_ = own.get("platform") == "ios" and own.get("standardisation") != "true"
+    return PhoneLog(path, SENSOR_LOGGER, acceleration, gravity, gyroscope, films=(), reversed=reversed_)
+
+
+def _metadata(path: Path) -> dict[str, str]:
+    """What Sensor Logger says of the recording, in lower case; nothing where it cannot be read."""
+    try:
+        with on_disk(path) as file, file.open(encoding="utf-8", errors="replace", newline="") as opened:
+            return {str(key): str(value).lower() for key, value in next(csv.DictReader(opened), {}).items()}
+    except (DataError, OSError, csv.Error):
+        return {}
 
 
 def _phyphox(path: Path, tables: dict[str, Path], read: dict[str, ChannelSet]) -> PhoneLog | None:

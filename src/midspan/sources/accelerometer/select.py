@@ -29,6 +29,8 @@ _NOT_VALUES = re.compile(r"(^|[_ ])(std|sigma|err|error|var|variance)([_ ]|$)", 
 _COLUMN = re.compile(r"^(?P<name>.+)\[(?::\s*,)?\s*(?P<index>\d+)\s*\]$")
 # No structure moves by 1e9 m or is accelerated by 1e9 m/s²; the Earth's radius is 6.4e6 m.
 _MAX_VALUE = 1e9
+# Before the name of a channel: its values with the other sign.
+REVERSED = "-"
 # A file's own rate and the one given may differ by this much before it is reported.
 RATE_TOLERANCE = 0.01
 
@@ -37,6 +39,7 @@ RATE_TOLERANCE = 0.01
 class SeriesRequest:
     """What to take from a file: the channel of `time` and of `value` (None: found by name, unit or being the only one).
 
+    `value` may be `-NAME`: the channel in the opposite sense, where none is called so.
     `quantity` is one of `SI_UNITS`, as "acceleration". `unit` wins over the file's. `sensitivity` in V per SI unit with
     a voltage. `rate_hz` and `start_s` (s) make the time where no time channel is named; `start_s` shifts a clock that
     comes with the file's own rate.
@@ -69,11 +72,11 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
         # The usual word for time, where there is no such channel, means the file's own clock.
         is_meant = own_clock and request.time not in found.names and request.time.lower() in TIME_NAMES
         clock = None if is_meant else find_channel(path, found, request.time, "time")
-    channel = _value_channel(path, found, request, clock)
+    channel, sense = _value_channel(path, found, request, clock)
     clock = clock or _guessed_time(found, request, channel)
     time_ns = _times(path, channel, clock, request, notes)
     unit, factor = _unit(path, channel, request, notes)
-    value = _si(channel, factor, notes)
+    value = _si(channel, sense * factor, notes)
     _check_values(path, channel.name, time_ns, value)
     # The columns of its file that are in memory tell whether two rows are one, so that all its channels lose the same
     # rows; clocks do not, nor a column that rises throughout: it counts the rows.
@@ -85,7 +88,8 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     dropped = f"{int(repeated.sum())} duplicate rows were dropped"
     notices = [Notice("stamps-corrected", text) for text in (dropped if repeated.any() else "", spread) if text]
     value = value[~repeated]
-    return TimeSeries(spread_ns, value, channel.name, unit, (*notes, *notices), found.damage, tuple(notices))
+    name = channel.name if sense > 0.0 else f"{REVERSED}{channel.name}"
+    return TimeSeries(spread_ns, value, name, unit, (*notes, *notices), found.damage, tuple(notices))
 
 
 def require_unsplit_numbers(path: Path, found: ChannelSet) -> None:
@@ -155,12 +159,18 @@ def candidates(
     return tuple(alone or next((choice for choice in reversed(ways) if choice), []))
 
 
-def _value_channel(path: Path, found: ChannelSet, request: SeriesRequest, clock: Channel | None) -> Channel:
-    if request.value is not None:
-        return find_channel(path, found, request.value, "value")
+def _value_channel(
+    path: Path, found: ChannelSet, request: SeriesRequest, clock: Channel | None
+) -> tuple[Channel, float]:
+    """The channel of the values, and 1, or -1 where it is taken in the opposite sense."""
+    name = request.value
+    if name is not None and name.startswith(REVERSED) and name not in found.names:
+        return find_channel(path, found, name.removeprefix(REVERSED), "value"), -1.0
+    if name is not None:
+        return find_channel(path, found, name, "value"), 1.0
     choice = candidates(found, request.quantity, clock, timed=request.rate_hz is not None)
     if len(choice) == 1:
-        return choice[0]
+        return choice[0], 1.0
     units = {one.unit for one in choice}
     alike = f" (all in {choice[0].unit})" if len(units) == 1 and choice and choice[0].unit else ""
     raise UsageError(
