@@ -13,6 +13,7 @@ from midspan.calibration.camera.gyroscope import GyroscopeFit, fit_gyroscope
 from midspan.calibration.camera.tilt import apart
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
+from midspan.calibration.sensors.auxiliary import turns_image
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.target_opening import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
@@ -255,10 +256,11 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
 
 
 def _gyroscope_of(recording: Recording) -> TimeSeries | None:
-    """The readings of the gyroscope on this view's camera, which is the first one."""
-    if recording.root.cameras[0].sensor != recording.sensor:
+    """The readings of the gyroscope on this view's camera, which is the first one, as they move the image."""
+    series = recording.auxiliary.get("gyroscope")
+    if series is None or recording.root.cameras[0].sensor != recording.sensor:
         return None
-    return recording.auxiliary.get("gyroscope")
+    return replace(series, value=turns_image(recording.axis) * series.value)
 
 
 def _is_printed(recording: Recording) -> bool:

@@ -13,6 +13,11 @@ MEASURES = {
 }
 
 
+def turns_image(axis: str) -> float:
+    """The sign with which a rotation about the other image axis moves the image along one, x right and y down."""
+    return 1.0 if axis == "y" else -1.0
+
+
 @dataclass(frozen=True, slots=True)
 class AuxiliaryCalibration:
     """Noise, zero and clock offset of a velocity sensor, a gyroscope or an inclinometer.
