@@ -3,6 +3,7 @@ that can do without.
 """
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -10,10 +11,12 @@ import numpy as np
 import pytest
 
 import midspan
-from lively_recordings import Lively, add_gyroscope, add_velocity, write
+from lively_recordings import FOCAL_PX, Lively, add_gyroscope, add_velocity, write
 from midspan.cli.main import run
 from midspan.engine.point import PointStatus
+from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, Arrival
+from midspan.service.checking import checked
 from midspan.service.intake import Intake
 from midspan.service.opening import checkpoint, opened, resumed
 from midspan.service.point import Phase
@@ -24,6 +27,7 @@ from midspan.service.stored_recording import stored_table
 from midspan.settings.site import load_site
 from midspan.sources.live.blocks import VELOCITY, Block, pack
 from midspan.store.store import open_store
+from recording_edits import set_keys
 
 CASE = Lively(rate_hz=1.0, duration_s=60.0, band_hz=(1.0, 3.0), rms_m=2e-3, noise_m=1e-3)
 NODDING = replace(CASE, rate_hz=10.0, duration_s=40.0, nods=(1.5, 0.9))
@@ -99,10 +103,10 @@ def rows_of(batch):
     )
 
 
-def error_of(batch):
+def error_of(batch, case=CASE):
     """Root mean square error without the mean (mm) and the share inside the band, after the first seconds."""
     time_ns, value, std = (column[500:] for column in rows_of(batch))
-    off = value - CASE.motion((time_ns - BEGIN_NS) / NANOSECONDS)
+    off = value - case.motion((time_ns - BEGIN_NS) / NANOSECONDS)
     off -= off.mean()
     return 1e3 * float(np.sqrt(np.mean(off**2))), float(np.mean(np.abs(off) < 1.96 * std))
 
@@ -188,6 +192,109 @@ def test_blocks_of_a_vibrometer_come_by_the_broker_in_their_unit(bridge, tmp_pat
     np.testing.assert_allclose(raw, [1e-3, 2e-3, 3e-3], rtol=1e-6)
     named = [source["source"] for source in one.standing(0.0)["sources"]]
     assert named == ["accelerometer", "displacement", "velocity"]
+
+
+SIDEWAYS = """
+name = "site"
+[store]
+path = "store"
+[mqtt]
+[[point]]
+name = "p"
+calibration_s = 30
+[point.accelerometer]
+source = "replay:bridge"
+[point.camera]
+source = "replay:bridge"
+direction = "{direction}"
+roi = [18, 18, 48, 48]
+[point.gyroscope]
+{source}
+"""
+
+
+def turned(nodding, folder):
+    """The same on its side: down becomes right, and a rotation about x one about y, the other way round."""
+    shutil.copytree(nodding, folder)
+    np.save(folder / "camera.npy", np.load(folder / "camera.npy").transpose(0, 2, 1))
+    head, *rows = (folder / "gyroscope.csv").read_text().splitlines()
+    rows = [f"{time},{-float(value):.9f}" for time, value in (row.split(",") for row in rows)]
+    (folder / "gyroscope.csv").write_text("\n".join([head, *rows]) + "\n")
+    set_keys(folder, "camera", direction="x")
+    set_keys(folder, "gyroscope", value_x=None, value_y="value")
+
+
+def test_a_gyroscope_takes_the_tilt_off_an_image_that_moves_sideways(nodding, tmp_path):
+    turned(nodding, tmp_path / "bridge")
+    (tmp_path / "SITE.toml").write_text(SIDEWAYS.format(direction="x", source='source = "replay:bridge"'))
+    (plan,) = load_site(tmp_path / "SITE.toml").points
+    (one,) = checked(load_site(tmp_path / "SITE.toml"), ["p"])
+    address = f"replay:{tmp_path / 'bridge'}@{BEGIN_NS}#"
+    found = [Arrival("accelerometer", 0, record) for _, record in readings(f"{address}accelerometer:x")]
+    found += [Arrival("gyroscope", 0, record) for _, record in readings(f"{address}gyroscope:x")]
+    frames = midspan.open_recording(tmp_path / "bridge").frames.frames()
+    found += [Arrival("camera", 0, replace(frame, time_ns=frame.time_ns + BEGIN_NS)) for frame in frames]
+    calibration, batch = lived(one.live, sorted(found, key=lambda one: (one.newest_ns, one.stream)))
+    known = calibration.helped_by("gyroscope")
+    assert known.focal_px == pytest.approx(FOCAL_PX, abs=3.0 * known.focal_std_px)
+    captured = midspan.open_recording(next(tmp_path.glob("store/captures/p/calibration-*"))).settings.gyroscope
+    assert (captured.value_x, captured.value_y, captured.unit) == (None, "value", "rad/s")
+    error, inside = error_of(batch, NODDING)
+    # The tilt alone would be 1.6 mm rms; a gyroscope leaves its slow part, 0.34 mm of the file too.
+    assert error < 0.5
+    assert inside > 0.85
+    assert plan.axis == "x"
+
+
+@pytest.mark.parametrize(
+    ("direction", "source", "said"),
+    [
+        (
+            "y",
+            'source = "mqtt:g"',
+            r"gyroscope\.source_x: is missing: a rotation about the image's x axis moves",
+        ),
+        ("x", 'source_x = "mqtt:g"', r"gyroscope\.source_y: is missing"),
+        ("xy", 'source_x = "mqtt:g"', r"gyroscope\.source_y: is missing"),
+        ("y", 'source_x = "rtsp://g"', r"gyroscope\.source: must be one of mqtt:"),
+        ("y", 'source_x = "mqtt:g"\nunit = "mm"', "measure rotation rate"),
+        ("y", 'source_x = "mqtt:g"\nnoise_dens = 1', r"noise_dens: is not a known key\. Did you mean 'noise_density'"),
+        ("y", 'source_x = "mqtt:g"\nvalue_x = "gx"', r"gyroscope\.value_x: is for files only"),
+        ("y", 'source_x = "mqtt:g"\n[point.velocity]\nunit = "mm/s"', r"velocity\.source: is missing"),
+        ("xy", 'source_x = "mqtt:g"\nsource_y = "mqtt:h"\n[point.velocity]\nsource = "mqtt:v"', "the only sensor"),
+        ("x", 'source = "replay:bridge"', r"has no gyroscope\.value_y"),
+    ],
+)
+def test_what_a_section_may_not_say(direction, source, said, nodding, tmp_path, capsys):
+    shutil.copytree(nodding, tmp_path / "bridge")
+    text = SIDEWAYS.format(direction=direction, source=source)
+    if direction == "xy":
+        both = 'source_x = "mqtt:ax"\nsource_y = "mqtt:ay"'
+        text = text.replace('[point.accelerometer]\nsource = "replay:bridge"', f"[point.accelerometer]\n{both}")
+    (tmp_path / "SITE.toml").write_text(text)
+    code = run(["check-config", str(tmp_path / "SITE.toml")])
+    if "replay" not in source:
+        assert code == 2
+        assert re.search(said, capsys.readouterr().err)
+        return
+    with pytest.raises(DataError, match=said):
+        checked(load_site(tmp_path / "SITE.toml"), ["p"])
+
+
+def test_both_axes_of_a_camera_have_their_own_rotation(tmp_path):
+    text = SIDEWAYS.format(direction="xy", source='source_x = "mqtt:gx"\nsource_y = "mqtt:gy"\nsource_z = "mqtt:gz"')
+    both = 'source_x = "mqtt:ax"\nsource_y = "mqtt:ay"'
+    (tmp_path / "SITE.toml").write_text(text.replace('source = "replay:bridge"', both, 1).replace("roi", "# roi"))
+    points = load_site(tmp_path / "SITE.toml").points
+    assert [(plan.axis, plan.sources["gyroscope"]) for plan in points] == [("y", "mqtt:gx"), ("x", "mqtt:gy")]
+
+
+def test_gravity_along_the_view_is_for_recordings(tmp_path):
+    text = SIDEWAYS.format(direction="y", source='source_x = "mqtt:gx"')
+    named = 'source_y = "mqtt:ay"\nsource_z = "mqtt:az"'
+    (tmp_path / "SITE.toml").write_text(text.replace('source = "replay:bridge"', named, 1))
+    with pytest.raises(UsageError, match=r"accelerometer\.source_z: is for recordings only"):
+        load_site(tmp_path / "SITE.toml")
 
 
 @pytest.mark.parametrize(("which", "kind"), [("bridge", "velocity"), ("nodding", "gyroscope")])
