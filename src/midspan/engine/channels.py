@@ -216,8 +216,8 @@ def auxiliary_channel(
 ) -> AuxiliarySensor | None:
     """A sensor that helps others, and its channel in the table.
 
-    time_ns: stamps (n,) of its values. tilting: of the first target of the camera whose tilt it measures, along image_axis; None
-    for a velocity. None where no slow error of that camera is a tilt.
+    time_ns: stamps (n,) of its values. tilting: of the first target of the camera whose tilt it measures, along
+    image_axis; None for a velocity. None where no slow error of that camera is a tilt.
     """
     units_per_m = 1.0
     if calibration.measures is not Quantity.VELOCITY:

@@ -87,8 +87,8 @@ def _of_gyroscope(recording: Recording, gyroscope: GyroscopeFit) -> list[Auxilia
 def _focal_length(
     recording: Recording, gyroscope: GyroscopeFit | None, lens: Lens | None
 ) -> tuple[float, float] | None:
-    """The focal length by which a tilt moves the image and its standard deviation, px; None where a gyroscope that was
-    left out would have told it.
+    """The focal length by which a tilt moves the image and its standard deviation, px; None where only a
+    gyroscope that was left out would show it.
     """
     if gyroscope is not None:
         return gyroscope.focal_px, gyroscope.focal_std_px

@@ -298,9 +298,8 @@ class Intake:
         own = range_frames if LIVE[one.kind(name)].brings is RangeFrame else readings
         try:
             for due_s, record in own(at):
-                left_s = due_s - time.time()
-                if left_s > 0:
-                    await asyncio.sleep(left_s)
+                # What is overdue comes in turn with the other channels.
+                await asyncio.sleep(max(due_s - time.time(), 0.0))
                 for one, name in users:
                     self._give(self._heard, one, name, Arrival(name, 0, record))
             reason, text = "replay_ended", sentence("replay_ended")
