@@ -126,7 +126,7 @@ def test_a_point_calibrates_itself_with_a_vibrometer_and_is_sharper(bridge, tmp_
     without, kept = lived(alone, records(bridge, *ALL[:2]))
     assert not without.auxiliary
     assert "velocity" in " ".join(without.warnings)
-    lacks = "p: velocity is not used: calibration 1 lacks it."
+    lacks = "p: velocity is not used with calibration 1 and method kalman."
     assert ("calibration_warning", lacks) in {(event.kind, event.text) for _, event in kept.events}
     before, _ = error_of(kept)
     assert error < 0.8 * before

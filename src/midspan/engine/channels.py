@@ -219,7 +219,7 @@ def auxiliary_channel(
     time_ns: stamps (n,) of its values. tilting: of the first target of the camera whose tilt it measures, along
     image_axis; None for a velocity. None where no slow error of that camera is a tilt.
     """
-    units_per_m = 1.0
+    units_per_m, step_s = 1.0, interval_s(time_ns)
     if calibration.measures is not Quantity.VELOCITY:
         if tilting is None or tilting.slow_std_m == 0.0:
             return None
@@ -228,12 +228,13 @@ def auxiliary_channel(
         sensor=calibration.kind,
         source=Source.PREDICTION,
         units_per_m=units_per_m,
+        interval_s=step_s,
         measures=calibration.measures,
         tilt_of="" if tilting is None else tilting.sensor,
         zero_std_m=calibration.zero_std / abs(units_per_m),
         zero_walk_m2_s=calibration.zero_walk / units_per_m**2,
     )
-    return AuxiliarySensor(calibration.kind, table.add(channel), calibration.noise_std**2, interval_s(time_ns))
+    return AuxiliarySensor(calibration.kind, table.add(channel), calibration.noise_std**2, step_s)
 
 
 def camera_channels(

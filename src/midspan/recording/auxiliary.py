@@ -6,7 +6,7 @@ import numpy as np
 
 from midspan.calibration.camera.geometry import FOCAL_STD
 from midspan.calibration.camera.gyroscope import GyroscopeFit
-from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration, turns_image
+from midspan.calibration.sensors.auxiliary import MIN_ANGLES, AuxiliaryCalibration, turns_image
 from midspan.calibration.velocity import fit_velocity
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.notices import Notice
@@ -27,8 +27,6 @@ GRAVITY = "gravity"
 GRAVITY_STD, GRAVITY_S = 1e-5, 60.0
 # The same of an inclinometer: its data sheets give some mdeg per K.
 INCLINOMETER_STD, INCLINOMETER_S = 2e-5, 600.0
-# Fewer angles tell no noise, nor a tilt.
-MIN_ANGLES = 4
 # An angle is no sharper than this, rad.
 MIN_ANGLE_STD = 1e-7
 # The axis along the view shows the pitch where the measured one carries this share of gravity at least.

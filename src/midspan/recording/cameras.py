@@ -13,7 +13,7 @@ from midspan.calibration.camera.gyroscope import GyroscopeFit, fit_gyroscope
 from midspan.calibration.camera.tilt import apart
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
-from midspan.calibration.sensors.auxiliary import turns_image
+from midspan.calibration.sensors.auxiliary import MIN_ANGLES, turns_image
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.target_opening import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
@@ -302,6 +302,8 @@ def _with_inclination(recording: Recording, part: CameraFit) -> CameraFit:
     """The calibration with the size of the tilt that an inclinometer measures, where a lens tells what it moves."""
     series, lens = recording.auxiliary.get("inclinometer"), part.calibration.lens
     if series is None or lens is None or part.calibration.tilt_std_px > 0.0:
+        return part
+    if np.count_nonzero(np.isfinite(series.value)) < MIN_ANGLES:
         return part
     focal_px = float(lens.matrix["xy".index(part.calibration.direction)])
     # The first frame's tilt is one as large as any.

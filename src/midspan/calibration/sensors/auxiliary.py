@@ -11,6 +11,8 @@ MEASURES = {
     "inclinometer": Quantity.TILT,
     "gravity": Quantity.TILT,
 }
+# Fewer angles tell no noise, nor a tilt.
+MIN_ANGLES = 4
 
 
 def turns_image(axis: str) -> float:
