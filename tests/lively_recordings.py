@@ -166,3 +166,30 @@ def _displacement(folder, case, rng):
 
 
 SENSORS = {"camera": _camera, "infrared": _infrared, "radar": _radar, "displacement": _displacement}
+
+# Focal length of a camera by which its tilt moves the image, px.
+FOCAL_PX = 2000.0
+
+
+def add_velocity(folder: Path, case: Lively) -> Path:
+    """Put a vibrometer of 50 values a second with 0.1 mm/s to a recording."""
+    time_s = np.arange(0.2, case.duration_s - 0.2, 0.02)
+    noise = np.random.default_rng(case.seed + 1).normal(0.0, 1e-4, len(time_s))
+    return _add(folder, "velocity", time_s, 1e3 * (case.motion(time_s, 1) + noise), 'value = "value"\nunit = "mm/s"')
+
+
+def add_gyroscope(folder: Path, case: Lively) -> Path:
+    """Put a gyroscope of 100 values a second to a recording with a camera that tilts: 0.005 °/s/√Hz, biased."""
+    time_s = np.arange(0.0, case.duration_s, 0.01)
+    size_px, hertz = case.nods
+    rate = size_px / FOCAL_PX * 2.0 * np.pi * hertz * np.cos(2.0 * np.pi * hertz * time_s)
+    rate += np.radians(0.1 + np.random.default_rng(case.seed + 1).normal(0.0, 0.005 * np.sqrt(50.0), len(time_s)))
+    return _add(folder, "gyroscope", time_s, np.degrees(rate), 'value_x = "value"\nunit = "deg/s"')
+
+
+def _add(folder: Path, kind: str, time_s, value, lines: str) -> Path:
+    table = np.column_stack((time_s, value))
+    np.savetxt(folder / f"{kind}.csv", table, delimiter=",", header="time_s,value", comments="", fmt="%.9f")
+    with (folder / "recording.toml").open("a", encoding="utf-8") as file:
+        file.write(f'[{kind}]\nfile = "{kind}.csv"\ntime = "time_s"\n{lines}\n')
+    return folder

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import midspan
-from lively_recordings import Lively, write, write_several
+from lively_recordings import Lively, add_gyroscope, add_velocity, write, write_several
 from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.point import ACCELEROMETER, PointState
 from midspan.fusion.estimator import Estimator, Lag
@@ -174,6 +174,8 @@ def records(point, sides, tracked_cameras, rng):
             streams[view.sensor] = blocks(series.time_ns, series.value[:, None], rng)
         if view.kind == "radar":
             streams[view.sensor] = list(radar_frames(view, point.sensors[view.sensor]))
+    for kind, series in recording.auxiliary.items():
+        streams[kind] = blocks(series.time_ns, series.value[:, None], rng)
     for tracked_camera in tracked_cameras:
         times = tracked_camera.tracking.time_ns[: tracked_camera.tracking.done].tolist()
         found = [
@@ -260,6 +262,24 @@ def one_ends_early(folder):
     return folder
 
 
+def vibrometer(folder):
+    """A vibrometer with a displacement once a second; its values are missing for 2 s and equal for 3 s."""
+    case = replace(LIVELY, rate_hz=1.0, duration_s=40.0)
+    add_velocity(write(folder, case, "displacement"), case)
+    head, *rows = (folder / "velocity.csv").read_text().splitlines()
+    held = [f"{row.split(',')[0]},0.5" for row in rows[1200:1350]]
+    (folder / "velocity.csv").write_text("\n".join([head, *rows[:600], *rows[700:1200], *held, *rows[1350:]]) + "\n")
+    return folder
+
+
+def nodding(folder):
+    """A camera with one target whose tilt a gyroscope measures."""
+    case = replace(LIVELY, duration_s=30.0, nods=(1.5, 0.9))
+    return add_gyroscope(write(folder, case, "camera"), case)
+
+
+CASES["vibrometer"] = vibrometer
+CASES["nodding"] = nodding
 CASES["one ends early"] = one_ends_early
 CASES["averaging"] = averaging
 CASES["two axes"] = two_axes

@@ -12,6 +12,7 @@ from scipy.signal import butter, sosfiltfilt
 
 import midspan
 from midspan.errors import UsageError
+from midspan.recording.inspect import inspect_recording
 from repeats import slow
 
 GRAVITY, FOCAL_PX, MDEG = 9.80665, 5000.0, np.pi / 180e3
@@ -197,3 +198,24 @@ def test_a_rotation_needs_a_camera_and_its_axis(tmp_path):
     alone = '[displacement]\nfile = "box.csv"\nvalue = "pitch"\nunit = "mm"\n'
     with pytest.raises(UsageError, match="camera's tilt"):
         estimated(tmp_path, BOX.replace("value_y", "value"), alone, GYROSCOPE)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    ["", "[camera.lens]\nmatrix = [5000.0, 5000.0, 0.0, 0.0]\ndistortion = [0.0, 0.0, 0.0, 0.0]\nsize = [1, 1]\n"],
+)
+def test_what_holds_no_number_is_left_out(tmp_path, lens):
+    site = Site(seed=8, length_s=40.0)
+    site.angle *= 0.0
+    site.write(tmp_path, (3.0,), 0.01)
+    head, *rows = (tmp_path / "box.csv").read_text().splitlines()
+    empty = [",".join([*row.split(",")[:3], "nan", "nan"]) for row in rows]
+    (tmp_path / "box.csv").write_text("\n".join([head, *empty]) + "\n")
+    section = '[inclinometer]\nfile = "box.csv"\ntime = "time_s"\nvalue_x = "pitch"\nunit = "deg"\n'
+    result = estimated(tmp_path, BOX, CAMERA, lens, section, GYROSCOPE)
+    left_out = [line for line in result.calibration.warnings if line.code == "part-left-out"]
+    assert {line.split()[0] for line in left_out} == {"[gyroscope]", "[inclinometer]"}
+    assert not result.calibration.auxiliary
+    assert "holds no number" in inspect_recording(midspan.open_recording(tmp_path))["gyroscope"]["error"]
+    error, allowed = site.error(result)
+    assert np.mean(np.abs(error) < allowed) > 0.9

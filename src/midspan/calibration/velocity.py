@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
-from midspan.errors import UntrustedError
+from midspan.errors import DataError, UntrustedError
 from midspan.records import Floats, TimeOffset, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.medians import SIGMA_OF_MEDIAN
@@ -51,7 +51,7 @@ def fit_velocity(
 ) -> AuxiliaryCalibration:
     """Calibrate a velocity sensor, whose unit is taken as right; max_offset_s: of its clock; noise_std: as given, m/s.
 
-    Raises UntrustedError where its velocity is not that of the accelerometer.
+    Raises UntrustedError where its velocity is not that of the accelerometer, DataError for too few values.
     """
     origin_ns = int(prepared.time_ns[0])
     felt_s = seconds(prepared.time_ns, origin_ns)
@@ -61,7 +61,7 @@ def fit_velocity(
     time_s = seconds(series.time_ns, origin_ns)
     inner = (time_s > felt_s[0] + max_offset_s) & (time_s < felt_s[-1] - max_offset_s) & np.isfinite(series.value)
     if np.count_nonzero(inner) < MIN_VALUES:
-        raise UntrustedError(
+        raise DataError(
             f"velocity: {np.count_nonzero(inner)} values lie within the accelerometer's record; at least {MIN_VALUES} "
             "are needed. Check the times of both files and velocity.start_s."
         )

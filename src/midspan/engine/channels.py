@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan._core import TEMPLATE_NOISE
-from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
+from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration, turns_image
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
@@ -212,28 +212,29 @@ def plain_channel(
 
 
 def auxiliary_channel(
-    table: Table, calibration: AuxiliaryCalibration, tilting: Channel | None = None
+    table: Table, calibration: AuxiliaryCalibration, time_ns: Nanoseconds, tilting: Channel | None, image_axis: str
 ) -> AuxiliarySensor | None:
     """A sensor that helps others, and its channel in the table.
 
-    tilting: of the first target of the camera whose tilt it measures; None for a velocity. None where no slow error of
-    that camera is a tilt.
+    time_ns: stamps (n,) of its values. tilting: of the first target of the camera whose tilt it measures, along
+    image_axis; None for a velocity. None where no slow error of that camera is a tilt.
     """
-    units_per_m = 1.0
+    units_per_m, step_s = 1.0, interval_s(time_ns)
     if calibration.measures is not Quantity.VELOCITY:
         if tilting is None or tilting.slow_std_m == 0.0:
             return None
-        units_per_m = tilting.units_per_m / calibration.focal_px
+        units_per_m = turns_image(image_axis) * tilting.units_per_m / calibration.focal_px
     channel = Channel(
         sensor=calibration.kind,
         source=Source.PREDICTION,
         units_per_m=units_per_m,
+        interval_s=step_s,
         measures=calibration.measures,
         tilt_of="" if tilting is None else tilting.sensor,
         zero_std_m=calibration.zero_std / abs(units_per_m),
         zero_walk_m2_s=calibration.zero_walk / units_per_m**2,
     )
-    return AuxiliarySensor(calibration.kind, table.add(channel), calibration.noise_std**2)
+    return AuxiliarySensor(calibration.kind, table.add(channel), calibration.noise_std**2, step_s)
 
 
 def camera_channels(

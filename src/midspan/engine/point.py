@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from midspan.engine.auxiliary import AuxiliaryState
 from midspan.engine.averaging import Averaging, AveragingState
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
@@ -106,7 +107,7 @@ class PointState:
     merge: MergeState
     guard: GuardState
     estimator: State | OnSeriesState
-    sensors: tuple[SensorState, ...]
+    sensors: tuple[SensorState | AuxiliaryState, ...]
     support: Support
     averaging: AveragingState | None
     switch: tuple[int, bool, tuple[tuple[tuple[int, float], ...], ...]] | None = None

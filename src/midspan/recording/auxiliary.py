@@ -6,9 +6,10 @@ import numpy as np
 
 from midspan.calibration.camera.geometry import FOCAL_STD
 from midspan.calibration.camera.gyroscope import GyroscopeFit
-from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
+from midspan.calibration.sensors.auxiliary import MIN_ANGLES, AuxiliaryCalibration, turns_image
 from midspan.calibration.velocity import fit_velocity
-from midspan.errors import UntrustedError, UsageError
+from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.notices import Notice
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import within_window
 from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
@@ -34,46 +35,69 @@ MIN_UPRIGHT = 0.5
 
 def calibrate_auxiliary(
     recording: Recording, gyroscope: GyroscopeFit | None, lens: Lens | None
-) -> tuple[AuxiliaryCalibration, ...]:
-    """What is estimated of each; gyroscope: as found with the camera on its box; lens: of the camera.
+) -> tuple[tuple[AuxiliaryCalibration, ...], tuple[Notice, ...]]:
+    """What is estimated of each, and which are left out; gyroscope: as found with the camera on its box; lens: of the
+    camera.
 
     Raises UntrustedError, with the reason, where a velocity contradicts the acceleration.
     """
-    found = []
+    found, left_out = list[AuxiliaryCalibration](), list[Notice]()
     section = recording.settings.velocity
     if isinstance(section, VelocitySettings):
         series, given = recording.auxiliary["velocity"], section.noise_std
         noise = None if given is None else given * si_factor(section.unit or series.unit, "velocity", None)
         reach_s = recording.max_offset_s
         series = within_window(recording, series)
-        found.append(fit_velocity(recording.prepared, series, max_offset_s=reach_s, noise_std=noise))
-    if gyroscope is None:
-        return (*found, *_inclinometer(recording, lens))
-    focal = {"focal_px": gyroscope.focal_px, "focal_std_px": gyroscope.focal_std_px}
+        try:
+            found.append(fit_velocity(recording.prepared, series, max_offset_s=reach_s, noise_std=noise))
+        except DataError as error:
+            left_out.append(_left_out("velocity", str(error)))
     if recording.settings.inclinometer is not None:
-        found.append(_of_inclinometer(recording, **focal))
+        known = _focal_length(recording, gyroscope, lens)
+        if known is not None and np.count_nonzero(np.isfinite(recording.auxiliary["inclinometer"].value)) >= MIN_ANGLES:
+            found.append(_of_inclinometer(recording, *known))
+        else:
+            why = f"it has fewer than {MIN_ANGLES} values." if known is not None else "the focal length is unknown."
+            left_out.append(_left_out("inclinometer", why))
+    if gyroscope is not None:
+        found += _of_gyroscope(recording, gyroscope)
+    return tuple(found), tuple(left_out)
+
+
+def _left_out(kind: str, why: str) -> Notice:
+    return Notice("part-left-out", f"[{kind}] is left out of the result: {why}")
+
+
+def _of_gyroscope(recording: Recording, gyroscope: GyroscopeFit) -> list[AuxiliaryCalibration]:
+    """What is estimated of a gyroscope, and of gravity with it."""
+    focal = {"focal_px": gyroscope.focal_px, "focal_std_px": gyroscope.focal_std_px}
     known_s = gyroscope.offset_std_s if np.isfinite(gyroscope.offset_std_s) else 0.0
     offset, zero_std = TimeOffset(gyroscope.offset_s, known_s**2), gyroscope.bias_std_rad_s + abs(gyroscope.bias_rad_s)
     of_gyroscope = AuxiliaryCalibration(
         "gyroscope", gyroscope.noise_rad_s, offset, zero_std, gyroscope.bias_walk, **focal
     )
-    found.append(of_gyroscope)
-    if (leaning := _gravity(recording, of_gyroscope)) is not None:
-        noise, walk = leaning.noise_std(gyroscope.noise_rad_s), 2.0 * GRAVITY_STD**2 / GRAVITY_S
-        found.append(AuxiliaryCalibration(GRAVITY, noise, TimeOffset(0.0, 0.0), np.inf, walk, **focal))
-    return tuple(found)
+    if (leaning := _gravity(recording, of_gyroscope)) is None:
+        return [of_gyroscope]
+    noise, walk = leaning.noise_std(gyroscope.noise_rad_s), 2.0 * GRAVITY_STD**2 / GRAVITY_S
+    return [of_gyroscope, AuxiliaryCalibration(GRAVITY, noise, TimeOffset(0.0, 0.0), np.inf, walk, **focal)]
 
 
-def _inclinometer(recording: Recording, lens: Lens | None) -> list[AuxiliaryCalibration]:
-    """An inclinometer on a camera whose lens tells what a tilt moves; none: none in the recording."""
-    if recording.settings.inclinometer is None:
-        return []
-    if lens is None:
-        raise UsageError(
-            "inclinometer: needs the focal length, by which a tilt moves the image. Add [camera.lens], or [gyroscope]."
-        )
-    focal_px = float(lens.matrix["xy".index(recording.axis)])
-    return [_of_inclinometer(recording, focal_px, FOCAL_STD * focal_px)]
+def _focal_length(
+    recording: Recording, gyroscope: GyroscopeFit | None, lens: Lens | None
+) -> tuple[float, float] | None:
+    """The focal length by which a tilt moves the image and its standard deviation, px; None where only a
+    gyroscope that was left out would show it.
+    """
+    if gyroscope is not None:
+        return gyroscope.focal_px, gyroscope.focal_std_px
+    if lens is not None:
+        focal_px = float(lens.matrix["xy".index(recording.axis)])
+        return focal_px, FOCAL_STD * focal_px
+    if recording.settings.gyroscope is not None:
+        return None
+    raise UsageError(
+        "inclinometer: needs the focal length, by which a tilt moves the image. Add [camera.lens], or [gyroscope]."
+    )
 
 
 def _of_inclinometer(recording: Recording, focal_px: float, focal_std_px: float) -> AuxiliaryCalibration:
@@ -109,15 +133,17 @@ def _gravity(recording: Recording, gyroscope: AuxiliaryCalibration) -> Attitude 
     if rate is None or "z" not in named or recording.axis not in named:
         return None
     own = recording.accelerometer_axes
-    # A rotation about the image's x axis adds to z what the y axis carries of gravity, less its sign; about -y the
-    # x axis.
-    upright = -float(np.nanmean(own[recording.axis].value))
+    # A rotation about the image's x axis adds to z what the y axis carries of gravity, less its sign; about y what the
+    # x axis carries.
+    upright = -turns_image(recording.axis) * float(np.nanmean(own[recording.axis].value))
     if abs(upright) < MIN_UPRIGHT * GRAVITY_M_S2:
         return None
     along = prepare_acceleration(own["z"], "accelerometer along the view")
     time_ns = rate.time_ns + round(NANOSECONDS * gyroscope.offset.value_s)
     finite = np.isfinite(rate.value)
-    if not finite.any() or time_ns[finite][0] > along.time_ns[-1]:
+    if not finite.any():
+        return None
+    if time_ns[finite][0] > along.time_ns[-1]:
         raise UntrustedError("gyroscope: none of its values lies within the accelerometer's record.")
     rates = np.interp(along.time_ns, time_ns[finite], rate.value[finite])
     return attitude(along.time_ns, along.value_m_s2, rates, upright)

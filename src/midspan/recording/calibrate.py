@@ -111,12 +111,13 @@ def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, 
         for part in (part for part in one.parts if part.parts):
             total = float(np.hypot(part.calibration.relative_std, gain_std))
             warnings += uncertain_scale(one.tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
+    auxiliary, left_out = calibrate_auxiliary(recording, *_of_box(seen))
     calibration = replace(
         main,
-        auxiliary=calibrate_auxiliary(recording, *_of_box(seen)),
+        auxiliary=auxiliary,
         accelerometer_scale=gain,
         sensor_axis=axis,
-        warnings=(*warnings, *_doubts(recording, main)),
+        warnings=(*warnings, *left_out, *_doubts(recording, main)),
         across=across,
         left_out=view.axis if view is not None and across is None else "",
     )

@@ -13,6 +13,7 @@ from midspan.calibration.camera.gyroscope import GyroscopeFit, StillError, fit_g
 from midspan.calibration.camera.tilt import apart
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
+from midspan.calibration.sensors.auxiliary import MIN_ANGLES, turns_image
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.target_opening import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
@@ -263,10 +264,11 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
 
 
 def _gyroscope_of(recording: Recording) -> TimeSeries | None:
-    """The readings of the gyroscope on this view's camera, which is the first one."""
-    if recording.root.cameras[0].sensor != recording.sensor:
+    """The readings of the gyroscope on this view's camera, which is the first one, as they move the image."""
+    series = recording.auxiliary.get("gyroscope")
+    if series is None or recording.root.cameras[0].sensor != recording.sensor:
         return None
-    return recording.auxiliary.get("gyroscope")
+    return replace(series, value=turns_image(recording.axis) * series.value)
 
 
 def _is_printed(recording: Recording) -> bool:
@@ -310,6 +312,8 @@ def _with_inclination(recording: Recording, part: CameraFit) -> CameraFit:
     """The calibration with the size of the tilt that an inclinometer measures, where a lens tells what it moves."""
     series, lens = recording.auxiliary.get("inclinometer"), part.calibration.lens
     if series is None or lens is None or part.calibration.tilt_std_px > 0.0:
+        return part
+    if np.count_nonzero(np.isfinite(series.value)) < MIN_ANGLES:
         return part
     focal_px = float(lens.matrix["xy".index(part.calibration.direction)])
     # The first frame's tilt is one as large as any.

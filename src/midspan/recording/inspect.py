@@ -66,7 +66,7 @@ def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Ite
     for view in recording.views:
         yield view.sensor, view.own.settings.file, partial(readers[KINDS[view.kind].brings], view)
     for kind, own in settings.auxiliary.items():
-        unit = SI_UNITS[AUXILIARY[kind][1]]
+        unit = SI_UNITS[AUXILIARY[kind].quantity]
         yield kind, own.file, partial(lambda kind, unit: series_tree(recording.auxiliary[kind], unit), kind, unit)
     if settings.reference is not None:
         yield "reference", settings.reference.file, lambda: series_tree(recording.reference, "m")

@@ -19,12 +19,13 @@ MAX_REJECTED = 0.5
 
 
 def uncalibrated(recording: Recording, calibration: Calibration) -> list[Notice]:
-    """What to tell of a camera that the recording has and the calibration that was given has not."""
+    """What to report of a sensor that the recording has, other ones can do without, and the given calibration lacks."""
     text = (
         "[{0}] is left out of the result: the given calibration has no {0} part. Run `midspan calibrate` on a "
-        "recording with both cameras."
+        "recording with all sensors."
     )
     missing = [view.sensor for view in recording.cameras if calibration.of_sensor(view.own, view.companions) is None]
+    missing += [kind for kind in recording.settings.auxiliary if calibration.helped_by(kind) is None]
     return [Notice("part-left-out", text.format(name)) for name in missing]
 
 

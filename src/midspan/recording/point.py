@@ -7,7 +7,6 @@ from math import hypot, sqrt
 import numpy as np
 
 from midspan.calibration.one_clock import OneClock
-from midspan.calibration.sensors.auxiliary import AuxiliaryCalibration
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
 from midspan.engine.channels import Table, auxiliary_channel, camera_channels, interval_s
@@ -188,15 +187,19 @@ def measuring_point(
     recording, usual = main.recording, main.calibration.usual or usual_in_window(main.recording)
     gain_stds = tuple(side.calibration.accelerometer_scale_std for side in sides)
     on_series = method.takes_series(literal=wanted.literal)
-    helping = () if on_series else _helping(main)
-    turning = any(one.measures in (Quantity.TILT, Quantity.TILT_RATE) for one in helping)
+    known = {one.kind: one for one in main.calibration.auxiliary}
+    helping = {} if on_series else auxiliary_series(recording, main.calibration.auxiliary)
+    turning = any(known[kind].measures in (Quantity.TILT, Quantity.TILT_RATE) for kind in helping)
     table = Table(given=given, motion_hz=usual.dominant_hz, gain_std=gain_stds, turning=turning)
     # As printed, the filter's own deviation bounds the search, however small it is.
     min_std_px = 0.0 if on_series and method.predicts else MIN_STD_PX
     sensors = _stages(table, main, tracked_cameras, usual.moved_m, min_std_px)
     table.by_first_terms()
-    made = {one.kind: auxiliary_channel(table, one, tilting(table.channels)) for one in helping}
-    sensors |= {kind: sensor for kind, sensor in made.items() if sensor is not None}
+    tilts = tilting(table.channels)
+    for kind, series in helping.items():
+        time_ns = series.time_ns[np.isfinite(series.value)]
+        sensor = auxiliary_channel(table, known[kind], time_ns, tilts, recording.axis)
+        sensors |= {} if sensor is None else {kind: sensor}
     stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
     table.gain(stds, estimated=recording.accelerometer.estimate_scale)
     offsets_ns = clock_offsets_ns(main, tracked_cameras)
@@ -241,13 +244,6 @@ def _stages(
         more = {"moved_m": moved_m, "first": not sensors, "bias_m_s2": main.kalman.bias}
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, **more)
     return sensors
-
-
-def _helping(main: Side) -> tuple[AuxiliaryCalibration, ...]:
-    """The calibrated sensors that help others, as far as the recording has them."""
-    known = main.calibration.auxiliary
-    measured = auxiliary_series(main.recording, known)
-    return tuple(one for one in known if one.kind in measured)
 
 
 def _along(

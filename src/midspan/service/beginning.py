@@ -9,7 +9,7 @@ from midspan.service.calibrations import is_of, loaded, number_in_force
 from midspan.service.journal import ROWS
 from midspan.service.opening import head_of, opened, resumed
 from midspan.service.running import Running
-from midspan.settings.kinds import ACCELEROMETER
+from midspan.settings.kinds import ACCELEROMETER, AUXILIARY
 from midspan.store.store import Store
 
 
@@ -47,7 +47,7 @@ def _resume(one: Running, store: Store, kept: bytes) -> bool:
     # Where another calibration or other settings came into force since, the rows go on until the point is opened with
     # them.
     found = opened(folder, one.name, loaded(one.live, store, number), number, push=False)
-    if {ACCELEROMETER, *found.point.sensors} != set(one.live.plan.sources):
+    if {ACCELEROMETER, *found.point.sensors} - set(AUXILIARY) != set(one.live.plan.sources) - set(AUXILIARY):
         return False
     resumed(found, kept, store)
     one.live.resumed(found, folder)

@@ -14,7 +14,7 @@ from midspan.engine.channels import CLOCK_WALK
 from midspan.errors import DataError, UntrustedError
 from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.service.point import LivePoint
-from midspan.settings.kinds import KINDS
+from midspan.settings.kinds import AUXILIARY, KINDS
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration, calibration_from_dict, load_calibration
 from midspan.store.store import Store
@@ -47,7 +47,7 @@ def is_of(kept: str, settings: RecordingSettings) -> bool:
 
     def named(tree: dict[str, Any]) -> list[tuple[str, Any, Any]]:
         # One of a kind is a section, several are a list.
-        given = {kind: tree.get(kind, []) for kind in KINDS}
+        given = {kind: tree.get(kind, []) for kind in (*KINDS, *AUXILIARY)}
         sections = {kind: own if isinstance(own, list) else [own] for kind, own in given.items()}
         return [(kind, one.get("name"), one.get("direction")) for kind, own in sections.items() for one in own]
 

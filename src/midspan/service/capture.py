@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 
 from midspan.radar.chirp import RadarInfo, profile_to_json
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
-from midspan.settings.kinds import ACCELEROMETER, KINDS
+from midspan.settings.kinds import ACCELEROMETER, AUXILIARY, KINDS, LIVE
 from midspan.settings.load import RECORDING_FILE
 from midspan.settings.recording import RecordingSettings, Sensor
+from midspan.sources.accelerometer.units import SI_UNITS
 from midspan.writing import write_whole
 
 # Profiles are written together, this many at a time.
 FRAMES_AT_A_TIME = 64
 READINGS = {"time": "time_ns", "value": "value"}
+# Keys of a channel that are in its unit.
+IN_UNIT = ("noise_std", "noise_density", "bias_std")
 
 
 class Capture:
@@ -28,17 +31,17 @@ class Capture:
     def __init__(self, folder: Path, settings: RecordingSettings, radars: Mapping[str, RadarInfo]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.settings = folder, settings
-        self._readings: dict[str, list[Readings]] = {ACCELEROMETER: []}
+        self._readings: dict[str, list[Readings]] = {}
         self._films: dict[str, _Film] = {}
         self._profiles: dict[str, _Profiles] = {}
-        for sensor in settings.sensors:
-            brings = KINDS[sensor.kind].brings
+        for name, kind, section in settings.streams:
+            brings = LIVE[kind].brings
             if brings is Readings:
-                self._readings[sensor.name] = []
+                self._readings[name] = []
             elif brings is Frame:
-                self._films[sensor.name] = _Film(folder / sensor.settings.file)
+                self._films[name] = _Film(folder / section.file)
             else:
-                self._profiles[sensor.name] = _Profiles(folder / sensor.settings.file, radars[sensor.name])
+                self._profiles[name] = _Profiles(folder / section.file, radars[name])
 
     def push(self, arrival: Arrival) -> None:
         """Keep a record."""
@@ -51,11 +54,12 @@ class Capture:
 
     @property
     def length_s(self) -> float:
-        """How long all streams have recorded together, s."""
+        """How long all streams that the point cannot do without have recorded together, s."""
         streams = [one.stamps for one in self._pictures]
         streams += [
             [int(blocks[0].time_ns[0]), int(blocks[-1].time_ns[-1])] if blocks else []
-            for blocks in self._readings.values()
+            for name, blocks in self._readings.items()
+            if name not in AUXILIARY
         ]
         if not all(streams):
             return 0.0
@@ -72,9 +76,12 @@ class Capture:
 
     def close(self) -> Path:
         """Finish the files and write the recording.toml; returns the folder."""
-        files = {sensor.name: sensor.settings.file for sensor in self.settings.sensors}
-        files[ACCELEROMETER] = self.settings.accelerometer.file if self.settings.accelerometer else ""
+        files = {name: section.file for name, _, section in self.settings.streams}
         for name, blocks in self._readings.items():
+            if sum(len(one.time_ns) for one in blocks) < 2:
+                # Of one that only helps: there was nothing.
+                ends = [self._readings[ACCELEROMETER][k].time_ns[k] for k in (0, -1)]
+                blocks = [Readings(np.array(ends), np.full((2, 1), np.nan))]
             time_ns = np.concatenate([one.time_ns for one in blocks])
             value = np.concatenate([one.value.reshape(len(one.time_ns), -1)[:, 0] for one in blocks])
             new = np.diff(np.maximum.accumulate(time_ns), prepend=time_ns[0] - 1) > 0
@@ -205,6 +212,8 @@ def capture_settings(settings: RecordingSettings, factors: dict[str, float]) -> 
     for kind in KINDS:
         listed = [(sensor, _captured(sensor, factors)) for sensor in settings.sensors if sensor.kind == kind]
         changed[f"{kind}s"] = tuple(sensor.settings.model_copy(update=files) for sensor, files in listed)
+    for kind, section in settings.auxiliary.items():
+        changed[kind] = section.model_copy(update=_in_si(kind, section, factors[kind]))
     return settings.model_copy(update=changed)
 
 
@@ -213,8 +222,14 @@ def _captured(sensor: Sensor, factors: dict[str, float]) -> dict[str, Any]:
     own: Any = sensor.settings
     name, brings = Path(own.file).name, KINDS[sensor.kind].brings
     if brings is Readings:
-        noise_std = None if own.noise_std is None else own.noise_std * factors[sensor.name]
-        return {**READINGS, "unit": "m", "noise_std": noise_std}
+        return {**READINGS, **_in_si(sensor.kind, own, factors[sensor.name])}
     if brings is RangeFrame:
         return {"file": f"{name}.h5", "config": None}
     return {"file": f"{name}.npy", "times": times_file(Path(f"{name}.npy")).name}
+
+
+def _in_si(kind: str, section: Any, factor: float) -> dict[str, Any]:
+    """The keys of a channel with a unit, in the SI unit."""
+    given = {key: getattr(section, key, None) for key in IN_UNIT}
+    scaled = {key: factor * value for key, value in given.items() if value is not None}
+    return {"time": READINGS["time"], "unit": SI_UNITS[LIVE[kind].quantity], **scaled}

@@ -10,6 +10,7 @@ from midspan.service.running import Running, drafted
 from midspan.settings.camera import CameraSettings
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.load import load_settings
+from midspan.settings.sensors import RotationSettings, turning_axis
 from midspan.settings.site import PointPlan, Site
 from midspan.settings.stored.calibration import load_calibration
 
@@ -40,7 +41,10 @@ def _require_sources(plan: PointPlan, file: Path, sizes_px: Mapping[str, tuple[i
         address, where = plan.sources[name], f"{file}: point {plan.name!r}: {name}"
         if address.startswith(REPLAY):
             recording = load_settings(file.parent / address.removeprefix(REPLAY))
-            if kind != ACCELEROMETER and name not in {sensor.name for sensor in recording.sensors}:
+            own = {name: one for name, _, one in recording.streams}.get(name)
+            if kind != ACCELEROMETER and own is None:
                 raise DataError(f"{where}.source: {address} has no [{name}].")
+            if isinstance(own, RotationSettings) and not own.about(plan.axis):
+                raise DataError(f"{where}.source: {address} has no {name}.value_{turning_axis(plan.axis)}.")
         if address in sizes_px and isinstance(section, CameraSettings):
             require_inside(section, sizes_px[address], where)

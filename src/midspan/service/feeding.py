@@ -207,6 +207,8 @@ class Feeding:
 
     def _run(self, arrival: Arrival) -> None:
         found, record = self.opened, arrival.record
+        if not found.takes(arrival.stream):
+            return
         if isinstance(record, RangeFrame):
             # Of a radar's profile only the bins of its targets.
             record = replace(record, phasors=at_bins(record.phasors[None], found.bins[arrival.stream])[0])

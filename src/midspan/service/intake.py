@@ -24,7 +24,7 @@ from midspan.service.opening import Opened
 from midspan.service.reasons import sentence
 from midspan.service.replayed import range_frames, readings
 from midspan.service.running import Running
-from midspan.settings.kinds import ACCELEROMETER, CAMERAS, LIVE
+from midspan.settings.kinds import CAMERAS, LIVE
 from midspan.settings.live_sources import connection
 from midspan.sources.live.blocks import Block, parse
 from midspan.sources.live.instants import Ended, SourceFault
@@ -74,10 +74,9 @@ class Intake:
             for name, address in one.live.plan.sources.items():
                 at = connection(address)
                 if address.startswith(REPLAY):
-                    # A recording may have an acceleration along each image axis.
-                    axis = one.live.plan.axis if name == ACCELEROMETER else ""
-                    stream = f"{name}_{axis}" if axis else name
-                    at = f"{REPLAY}{self._folder / address.removeprefix(REPLAY)}@{started_ns}#{stream}"
+                    # A recording may have an acceleration, or a rotation, for each image axis.
+                    axis = f":{one.live.plan.axis}" if LIVE[one.kind(name)].axes else ""
+                    at = f"{REPLAY}{self._folder / address.removeprefix(REPLAY)}@{started_ns}#{name}{axis}"
                 self._sources.setdefault(at, Source()).users.append((one, name))
         self._find_topics()
 
@@ -299,9 +298,8 @@ class Intake:
         own = range_frames if LIVE[one.kind(name)].brings is RangeFrame else readings
         try:
             for due_s, record in own(at):
-                left_s = due_s - time.time()
-                if left_s > 0:
-                    await asyncio.sleep(left_s)
+                # What is overdue comes in turn with the other channels.
+                await asyncio.sleep(max(due_s - time.time(), 0.0))
                 for one, name in users:
                     self._give(self._heard, one, name, Arrival(name, 0, record))
             reason, text = "replay_ended", sentence("replay_ended")

@@ -12,7 +12,7 @@ import numpy as np
 from midspan.engine.channels import interval_s
 from midspan.engine.checkpoint import from_bytes, parts_of, to_bytes
 from midspan.engine.point import ACCELEROMETER, Point, PointState
-from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor
+from midspan.engine.sensors import CameraSensor, RadarSensor
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.progress import silent
@@ -70,7 +70,11 @@ class Opened:
     @property
     def has_own_zero(self) -> bool:
         """Whether its sensors have a zero of their own, which every opening counts from: displacement sensors alone."""
-        return all(isinstance(sensor, PlainSensor) for sensor in self.point.sensors.values())
+        return not any(isinstance(one, CameraSensor | RadarSensor) for one in self.point.sensors.values())
+
+    def takes(self, stream: str) -> bool:
+        """Whether the point takes a stream: one that only helps may be left out of its calibration."""
+        return stream == ACCELEROMETER or stream in self.point.sensors
 
     @property
     def scale_std(self) -> float:

@@ -284,6 +284,9 @@ class LivePoint:
         waiting.regions = {name: wider(region) for name, region in found.regions.items()}
         fed = Feeding(found, waiting, folder, self.newest_ns)
         self.job, self.reason, self._waiting = None, "", None
+        for name in (name for name in self.plan.sources if not found.takes(name)):
+            used = f"calibration {found.journal.calibration} and method {self.plan.settings.method}"
+            self._tell("calibration_warning", f"{self.name}: {name} is not used with {used}.")
         if self._feeding is None:
             self._feeding, self.phase = fed, Phase.RUNNING
             if self.follows and not found.has_own_zero:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from midspan.calibration.sensors.auxiliary import MEASURES
 from midspan.checks import option
 from midspan.engine.point import Output, Point
 from midspan.engine.sensors import Seen
@@ -186,7 +187,7 @@ class Player:
 
     def _take(self, outputs: Sequence[Output]) -> None:
         for output in outputs:
-            if isinstance(output, Seen) and output.measured is not None:
+            if isinstance(output, Seen) and output.measured is not None and output.sensor not in MEASURES:
                 stamps = output.measured.time_ns[np.isfinite(output.measured.value)]
                 self._first_ns = min([self._first_ns, *stamps[:1].tolist()])
                 self._last_ns = max([self._last_ns, *stamps[-1:].tolist()])

@@ -16,24 +16,20 @@ from midspan.recording.streams.recording import Recording, open_recording
 from midspan.records import NANOSECONDS, RangeFrame, Readings
 from midspan.service.opening import BLOCK_S
 from midspan.service.reasons import sentence
-from midspan.settings.kinds import ACCELEROMETER
+from midspan.settings.kinds import ACCELEROMETER, AUXILIARY
 from midspan.sources.live.camera import Stamped, StampKind
 from midspan.sources.live.instants import SourceFault
 
 
-def _opened(address: str) -> tuple[Recording, Any, int]:
-    """The recording of `replay:RECORDING@START#SENSOR`, the sensor's view (None: of the accelerometer), and by how much
-    its stamps are moved, so that the accelerometer begins at START (ns UTC).
-
-    SENSOR of the accelerometer may have the image axis that it is along, accelerometer_x: where the recording has both.
+def _opened(address: str) -> tuple[Recording, str, str, int]:
+    """The recording of `replay:RECORDING@START#SENSOR:AXIS`, the sensor, the image axis that is meant where the
+    recording has both, and by how much its stamps are moved, so that the accelerometer begins at START (ns UTC).
     """
-    rest, _, sensor = address.removeprefix("replay:").rpartition("#")
+    rest, _, stream = address.removeprefix("replay:").rpartition("#")
     path, _, start = rest.rpartition("@")
+    sensor, _, axis = stream.partition(":")
     recording = open_recording(path)
-    moved_ns = int(start) - int(recording.acceleration.time_ns[0])
-    if sensor in (ACCELEROMETER, f"{ACCELEROMETER}_x", f"{ACCELEROMETER}_y"):
-        return _along(recording, sensor.removeprefix(ACCELEROMETER).lstrip("_")), None, moved_ns
-    return recording, _view(recording, sensor), moved_ns
+    return recording, sensor, axis, int(start) - int(recording.acceleration.time_ns[0])
 
 
 def _along(recording: Recording, axis: str) -> Recording:
@@ -54,9 +50,14 @@ def _view(recording: Recording, sensor: str) -> Any:
 
 
 def readings(address: str) -> Iterator[tuple[float, Readings]]:
-    """Blocks of the accelerometer or of a displacement sensor, each with the instant (s UTC) that it is due at."""
-    recording, view, moved_ns = _opened(address)
-    series = recording.acceleration if view is None else view.displacement
+    """Blocks of the accelerometer or of another channel, each with the instant (s UTC) that it is due at."""
+    recording, sensor, axis, moved_ns = _opened(address)
+    if sensor == ACCELEROMETER:
+        series = _along(recording, axis).acceleration
+    elif sensor in AUXILIARY:
+        series = recording.helping(sensor, axis)
+    else:
+        series = _view(recording, sensor).displacement
     time_ns = series.time_ns + moved_ns
     ends = np.flatnonzero(np.diff((time_ns - time_ns[0]) // round(BLOCK_S * NANOSECONDS))) + 1
     for stamps, value in zip(np.split(time_ns, ends), np.split(series.value[:, None], ends), strict=True):
@@ -65,8 +66,8 @@ def readings(address: str) -> Iterator[tuple[float, Readings]]:
 
 def range_frames(address: str) -> Iterator[tuple[float, RangeFrame]]:
     """The range profiles of a radar, each with the instant (s UTC) that it is due at."""
-    _, view, moved_ns = _opened(address)
-    for block in view.radar.profiles():
+    recording, sensor, _, moved_ns = _opened(address)
+    for block in _view(recording, sensor).radar.profiles():
         for frame in block:
             stamp = frame.time_ns + moved_ns
             yield stamp / NANOSECONDS, replace(frame, time_ns=stamp)
@@ -80,8 +81,8 @@ def radar_info(address: str, sensor: str) -> RadarInfo:
 
 def film(address: str) -> Iterator[Stamped]:
     """The frames of a camera, each when it is due; the end is a fault."""
-    _, view, moved_ns = _opened(address)
-    for frame in view.frames.frames():
+    recording, sensor, _, moved_ns = _opened(address)
+    for frame in _view(recording, sensor).frames.frames():
         stamp = frame.time_ns + moved_ns
         left_s = stamp / NANOSECONDS - time.time()
         if left_s > 0:

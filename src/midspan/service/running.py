@@ -284,7 +284,7 @@ class Running:
 
     def kind(self, sensor: str) -> str:
         """The kind of one of the point's sensors."""
-        return next((one.kind for one in self.live.plan.recording.sensors if one.name == sensor), ACCELEROMETER)
+        return next(kind for name, kind, _ in self.live.plan.recording.streams if name == sensor)
 
     def standing(self, now_s: float) -> dict[str, Any]:
         """As the topic `state` shows it."""
@@ -306,7 +306,7 @@ class Running:
             "clock_offset_std_s": None,
             "clock_drift_ppm": None,
         }
-        if self.live.opened is None:
+        if self.live.opened is None or not self.live.opened.takes(name):
             return {**found, **unknown}
         point = self.live.opened.point
         memory, interval_s = point.merge.memory(name), point.interval_s(name)
@@ -360,18 +360,21 @@ def running(plan: PointPlan, captures: Path, site: Path) -> Running:
     Raises what reading a radar's settings, or a recording that is replayed, does.
     """
     factors, layouts, radars = dict[str, float](), dict[str, Layout](), dict[str, RadarInfo]()
+    # In which the settings are, of a recording that is replayed too.
+    units = dict[str, float]()
     for name, kind, section in plan.recording.streams:
         row, address = LIVE[kind], plan.sources[name]
         replayed = address.startswith("replay:")
         if quantity := row.quantity:
             sensitivity = getattr(section, "sensitivity", 0.0) or None
-            factors[name] = 1.0 if replayed else si_factor(section.unit or SI_UNITS[quantity], quantity, sensitivity)
+            units[name] = si_factor(section.unit or SI_UNITS[quantity], quantity, sensitivity)
+            factors[name] = 1.0 if replayed else units[name]
         elif row.brings is RangeFrame and replayed:
             radars[name] = radar_info(str(site / address.removeprefix("replay:")), name)
         elif row.brings is RangeFrame:
             layouts[name] = read_settings(site / plan.configs[name]).layout(site / plan.configs[name], section.iq_order)
             radars[name] = live_info(layouts[name])
-    live = LivePoint(plan, capture_settings(plan.recording, factors), captures, radars)
+    live = LivePoint(plan, capture_settings(plan.recording, units), captures, radars)
     streams = {name: Stream(plan.name, name, without_secrets(at)) for name, at in plan.sources.items()}
     return Running(live, streams, factors, layouts)
 

@@ -20,10 +20,11 @@ from midspan.radar.frames import bin_m_of
 from midspan.records import NANOSECONDS, RangeFrame, Readings, seconds
 from midspan.service.calibrations import CHIRPS
 from midspan.service.journal import NEW_DATUM, rows_stream, target_stream
-from midspan.settings.kinds import KINDS
+from midspan.settings.kinds import AUXILIARY, KINDS, LIVE
 from midspan.settings.load import RECORDING_FILE
 from midspan.settings.stored.calibration import Calibration, calibration_from_dict
 from midspan.sinks.table import ResultTable
+from midspan.sources.accelerometer.units import SI_UNITS
 from midspan.store.chunk import Chunk, join
 from midspan.store.store import Store, is_address
 from midspan.trees import TreeError, json_tree
@@ -164,7 +165,7 @@ class _Segment:
 
     def section(self, kind: str, settings: dict[str, Any]) -> dict[str, Any]:
         """A sensor's section with its file written."""
-        name, row = settings.get("name") or kind, KINDS[kind]
+        name, row = settings.get("name") or kind, LIVE[kind]
         kept = {key: value for key, value in settings.items() if key not in row.of_files}
         if row.brings is RangeFrame:
             return {**kept, "file": self._radar(kind, name)}
@@ -172,7 +173,8 @@ class _Segment:
         if row.brings is Readings:
             found = self._rows(name, f"raw records of {name}")
             columns = {"time_ns": found.time_ns, "value": found.columns["value"]}
-            kept |= {"unit": "m", "time": "time_ns", "value": "value"}
+            named = [key for key in kept if row.turns and key.startswith("value_")] or ["value"]
+            kept |= {"unit": SI_UNITS[row.quantity], "time": "time_ns", **dict.fromkeys(named, "value")}
         else:
             streams = self.store.streams(self.point)
             for k in [k for k in range(len(streams)) if target_stream(name, k) in streams]:
@@ -239,7 +241,8 @@ def stored_recording(
     # Sensors' own clocks may be apart by what the calibration says.
     span = (int(acceleration.time_ns[0]) - 2 * NANOSECONDS, int(acceleration.time_ns[-1]) + 2 * NANOSECONDS)
     segment = _Segment(store, point, folder, span, calibration, known.number, settings.get(CHIRPS, {}))
-    for kind in KINDS:
+    kept = store.streams(point)
+    for kind in (*KINDS, *(one for one in AUXILIARY if one in kept)):
         sections = settings.get(kind, [])
         written = [segment.section(kind, one) for one in (sections if isinstance(sections, list) else [sections])]
         if written:

@@ -66,7 +66,8 @@ def site_sections() -> list[KeySection]:
     ]
     text = (
         f"A point's sensors: `source`, and the keys of recording.toml's section but {', '.join(FILE_KEYS)}. "
-        f'With direction = "xy" the accelerometer has {" and ".join(SOURCES.values())} instead.'
+        f'With direction = "xy" the accelerometer has {" and ".join(SOURCES.values())} instead; '
+        "a rotation has source_x, source_y, source_z, about the camera's axes."
     )
     return [
         *_sections(SiteFile),

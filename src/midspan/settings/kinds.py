@@ -10,18 +10,20 @@ from midspan.records import Frame, RangeFrame, Readings
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import Section
 from midspan.settings.sensors import (
+    ALONG,
     AccelerometerSettings,
     DisplacementSettings,
     GyroscopeSettings,
     InclinometerSettings,
     RadarSettings,
-    SeriesSettings,
+    RotationSettings,
     VelocitySettings,
 )
+from midspan.settings.stored.auxiliary import StoredAuxiliary
 from midspan.settings.stored.cameras import StoredCamera
 from midspan.settings.stored.radar import StoredRadar
 from midspan.settings.stored.sections import StoredAccelerometer, StoredDisplacement
-from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT
+from midspan.sources.live.blocks import ACCELERATION, ANGLE, DISPLACEMENT, ROTATION_RATE, VELOCITY
 
 ACCELEROMETER = "accelerometer"
 # Keys of a section that say where the file of a recording is, and of cameras what only frames need: the regions stand
@@ -38,7 +40,7 @@ class SensorKind:
     section: of recording.toml; stored: of calibration.json; brings: the records of its stream; schemes: what the
     addresses of its live sources begin with; captured: the file of a captured recording; of_files: keys of the section
     that only a file has; to_check: what may be wrong where it contradicts the acceleration, {} for its name; quantity:
-    of a channel's readings, with the kind of their blocks.
+    of a channel's readings, with the kind of their blocks. axes: along or about which each may have a live source.
     """
 
     section: type[Section]
@@ -50,6 +52,12 @@ class SensorKind:
     to_check: str = ""
     quantity: str = ""
     block: int = 0
+    axes: tuple[str, ...] = ()
+
+    @property
+    def turns(self) -> bool:
+        """Whether it measures a rotation: one of its axes moves the image along the measured one."""
+        return issubclass(self.section, RotationSettings)
 
 
 _CAMERA = partial(
@@ -73,19 +81,29 @@ KINDS = {
 }
 CAMERAS = tuple(kind for kind, row in KINDS.items() if row.brings is Frame)
 _ACCELERATION = _CHANNEL(
-    AccelerometerSettings, StoredAccelerometer, captured="acceleration.npz", quantity="acceleration", block=ACCELERATION
+    AccelerometerSettings,
+    StoredAccelerometer,
+    captured="acceleration.npz",
+    quantity="acceleration",
+    block=ACCELERATION,
+    axes=("x", "y"),
 )
-LIVE = {ACCELEROMETER: _ACCELERATION, **KINDS}
-# What helps the sensors above, one of a kind, with what is read of it: none tells where the structure is.
-AUXILIARY: dict[str, tuple[type[SeriesSettings], str]] = {
-    "velocity": (VelocitySettings, "velocity"),
-    "gyroscope": (GyroscopeSettings, "rotation rate"),
-    "inclinometer": (InclinometerSettings, "angle"),
+_HELPING = partial(_CHANNEL, stored=StoredAuxiliary)
+# What helps the sensors above, one of a kind: none tells where the structure is.
+AUXILIARY: dict[str, SensorKind] = {
+    "velocity": _HELPING(VelocitySettings, captured="velocity.npz", quantity="velocity", block=VELOCITY),
+    "gyroscope": _HELPING(
+        GyroscopeSettings, captured="gyroscope.npz", quantity="rotation rate", block=ROTATION_RATE, axes=ALONG
+    ),
+    "inclinometer": _HELPING(
+        InclinometerSettings, captured="inclinometer.npz", quantity="angle", block=ANGLE, axes=ALONG
+    ),
 }
+LIVE = {ACCELEROMETER: _ACCELERATION, **KINDS, **AUXILIARY}
 # Words of the files and of results that mean something else than one sensor.
 _OF_FILES = ("name", "calibration", "fusion", "reference", "site")
 _OF_RESULTS = ("accelerometer_x", "accelerometer_y", "overlap", "recording", "prediction")
-TAKEN = (*LIVE, *AUXILIARY, *_OF_FILES, *_OF_RESULTS)
+TAKEN = (*LIVE, *_OF_FILES, *_OF_RESULTS)
 
 
 def sensors_of(of_kind: Callable[[str], Sequence[Any]]) -> tuple[tuple[str, str, Any], ...]:

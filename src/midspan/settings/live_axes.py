@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from midspan.errors import DataError, UsageError
-from midspan.settings.kinds import ACCELEROMETER, CAMERAS, KINDS
+from midspan.settings.camera import CameraSettings
+from midspan.settings.kinds import ACCELEROMETER, CAMERAS, LIVE
 from midspan.settings.load import load_settings
+from midspan.settings.sensors import ALONG, turning_axis
 
 # The point keeps its name along the first one, as the main columns of a recording are those of y.
 AXES = ("y", "x")
@@ -22,9 +24,14 @@ def by_axis(point: dict[str, Any], where: str, folder: Path) -> list[dict[str, A
 
     where: names the point in UsageError; folder: that its recordings are relative to.
     """
-    sections = [(kind, one) for kind in KINDS if kind in point for one in _listed(point[kind])]
+    sections = [(kind, one) for kind, row in LIVE.items() if not row.axes for one in _listed(point.get(kind))]
     both = [kind for kind, one in sections if kind in CAMERAS and one.get("direction") == "xy"]
     accelerometer = (*_listed(point.get(ACCELEROMETER)), {})[0]
+    if "source_z" in accelerometer:
+        raise UsageError(
+            f"{where}: accelerometer.source_z: is for recordings only, where gravity along the view bounds the slow "
+            "tilt. Remove it, and add [point.inclinometer] for the slow tilt."
+        )
     if not both:
         if named := sorted(set(SOURCES.values()) & set(accelerometer)):
             raise UsageError(
@@ -94,3 +101,30 @@ def _sources(accelerometer: dict[str, Any], where: str, folder: Path) -> dict[st
             'direction = "xy". Name both there, or write source_x and source_y.'
         )
     return dict.fromkeys(AXES, source)
+
+
+def axis_of(point: dict[str, Any]) -> str:
+    """The image axis that a point measures along, by its first camera; empty without one."""
+    cameras = [one for kind in CAMERAS for one in _listed(point.get(kind))]
+    default = CameraSettings.model_fields["direction"].default
+    return str(cameras[0].get("direction", default)) if cameras else ""
+
+
+def of_rotation(section: dict[str, Any], axis: str, where: str) -> dict[str, Any]:
+    """The section of a rotation with the source of that which moves the image along `axis` as its `source`.
+
+    Of the other axes nothing is read, as in a recording. `where` names the section in UsageError.
+    """
+    named = {f"source_{one}": section.get(f"source_{one}") for one in ALONG}
+    rest = {key: value for key, value in section.items() if key not in ("source", *named)}
+    if str(section.get("source")).startswith("replay:") and len(rest) + 1 == len(section):
+        return section
+    about = turning_axis(axis)
+    source = named[f"source_{about}"]
+    if "source" in section or source is None:
+        raise UsageError(
+            f"{where}.source_{about}: is missing: a rotation about the image's {about} axis moves it along "
+            f"{axis or 'y'}. Give source_x, source_y, source_z, as many as there are; source alone is "
+            "replay:RECORDING."
+        )
+    return {"source": source, **rest}

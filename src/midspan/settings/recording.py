@@ -22,6 +22,7 @@ from midspan.settings.sensors import (
     RotationSettings,
     SeriesSettings,
     VelocitySettings,
+    turning_axis,
 )
 
 if TYPE_CHECKING:
@@ -264,13 +265,15 @@ class RecordingSettings(Section):
         for kind, section in self.auxiliary.items():
             if self.fusion.literal:
                 raise ValueError(f"must not have [{kind}] with fusion.literal: remove one of them")
-            if isinstance(section, RotationSettings) and not section.about((*self.axes, "")[0]):
-                if self.first_camera is None:
-                    raise ValueError(f"must have [camera] or [infrared] with [{kind}]: it measures the camera's tilt")
-                name, about = ("value_x", "x") if self.axes[0] == "y" else ("value_y", "y")
+            if not isinstance(section, RotationSettings):
+                continue
+            if self.first_camera is None:
+                raise ValueError(f"must have [camera] or [infrared] with [{kind}]: it measures the camera's tilt")
+            if not section.about(self.axes[0]):
+                about = turning_axis(self.axes[0])
                 raise ValueError(
-                    f"must name {kind}.{name} with camera.direction = {self.axes[0]!r}: a rotation about the image's "
-                    f"{about} axis moves the image along {self.axes[0]}"
+                    f"must name {kind}.value_{about} with camera.direction = {self.axes[0]!r}: a rotation about the "
+                    f"image's {about} axis moves the image along {self.axes[0]}"
                 )
 
     def _check_axis(self, own: AccelerometerSettings) -> None:
@@ -330,9 +333,9 @@ class RecordingSettings(Section):
 
     @property
     def streams(self) -> tuple[tuple[str, str, Any], ...]:
-        """Name, kind and section of the accelerometer, where there is one, and of all sensors."""
+        """Name, kind and section of the accelerometer, where there is one, and of all sensors, those that help last."""
         own = () if self.accelerometer is None else ((ACCELEROMETER, ACCELEROMETER, self.accelerometer),)
-        return (*own, *sensors_of(self.of_kind))
+        return (*own, *sensors_of(self.of_kind), *((kind, kind, one) for kind, one in self.auxiliary.items()))
 
     @property
     def camera(self) -> CameraSettings | None:

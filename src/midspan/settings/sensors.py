@@ -176,6 +176,11 @@ class VelocitySettings(ChannelSettings):
     """Velocity along the accelerometer's axis, positive in its direction: laser vibrometer, Doppler radar."""
 
 
+def turning_axis(direction: str) -> str:
+    """The camera's axis about which a rotation moves the image along its axis "x" or "y"."""
+    return "y" if direction == "x" else "x"
+
+
 class RotationSettings(SeriesSettings):
     """A series of rotation about the camera's axes."""
 
@@ -195,7 +200,7 @@ class RotationSettings(SeriesSettings):
 
     def about(self, direction: str) -> str | None:
         """The column of the rotation that moves the image along its axis "x" or "y"."""
-        return self.value_x if direction == "y" else self.value_y
+        return getattr(self, f"value_{turning_axis(direction)}")  # type: ignore[no-any-return]
 
 
 class GyroscopeSettings(RotationSettings):

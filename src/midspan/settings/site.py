@@ -15,12 +15,13 @@ from midspan.errors import DataError, UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.alarms import AlarmSettings, MaintenanceSettings, NotifySettings
 from midspan.settings.fields import FileName, Form, IsNumber, Section, limited
-from midspan.settings.kinds import ACCELEROMETER, LIVE
-from midspan.settings.live_axes import MAX_NAME, by_axis
+from midspan.settings.kinds import ACCELEROMETER, KINDS, LIVE
+from midspan.settings.live_axes import MAX_NAME, axis_of, by_axis, of_rotation
 from midspan.settings.live_sources import address_of, one_use
 from midspan.settings.load import RECORDING_FILE, validate
 from midspan.settings.messages import unknown
 from midspan.settings.recording import RecordingSettings
+from midspan.settings.sensors import turning_axis
 from midspan.trees import TreeError, read_toml
 
 SITE_FILE = "SITE.toml"
@@ -397,9 +398,13 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
         given = tree[kind] if isinstance(tree[kind], list) else [tree[kind]]
         if not given or not all(isinstance(one, dict) for one in given):
             raise UsageError(f"{where}: {kind}: must be a section with keys, [point.{kind}].")
-        if kind == ACCELEROMETER and len(given) > 1:
+        if kind not in KINDS and len(given) > 1:
             raise UsageError(f"{where}: {kind}: must be one section.")
-        sections[kind] = [_captured(kind, number, one, where) for number, one in enumerate(given)]
+        column: dict[str, Any] = {}
+        if LIVE[kind].turns:
+            axis = axis_of(tree)
+            given, column = [of_rotation(given[0], axis, f"{where}: {kind}")], {f"value_{turning_axis(axis)}": "value"}
+        sections[kind] = [_captured(kind, number, one, where) | column for number, one in enumerate(given)]
         addresses[kind] = iter([address_of(kind, one, f"{where}: {kind}") for one in given])
     fusion = {"method": settings.method, "lag_s": settings.lag_s, "literal": settings.literal}
     plain = {key: value if len(value) > 1 else value[0] for key, value in sections.items()}
@@ -407,8 +412,7 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
         raise UsageError(f"{where}: accelerometer: is missing. Add [point.accelerometer] with its source.")
     recording = validate({"name": settings.name, "fusion": fusion, **plain}, where, RecordingSettings)
     recording = recording.calibrated_as_printed() if settings.literal else recording
-    sources = {ACCELEROMETER: next(addresses[ACCELEROMETER])}
-    sources |= {sensor.name: next(addresses[sensor.kind]) for sensor in recording.sensors}
+    sources = {name: next(addresses[kind]) for name, kind, _ in recording.streams}
     configs = {one.name: config for one in recording.sensors if (config := getattr(one.settings, "config", None))}
     for name, address in sources.items():
         if name not in configs and address.startswith("udp:"):
@@ -440,7 +444,8 @@ def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> di
         raise UsageError(
             f"{where}: {kind}.{refused[0]}: is for files only; a live sensor has source instead. Remove it."
         )
-    known = ["source", *(key for key in LIVE[kind].section.model_fields if key not in FILE_KEYS)]
+    sources = [f"source_{axis}" for axis in LIVE[kind].axes if LIVE[kind].turns]
+    known = ["source", *sources, *(key for key in LIVE[kind].section.model_fields if key not in FILE_KEYS)]
     for key, value in section.items():
         if key not in known:
             raise UsageError(f"{where}: {unknown(f'{kind}.{key}', value, known)}")

@@ -170,6 +170,8 @@ def series_tree(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
     """What is in a channel, and its stamps; unit: of its values."""
     value = series.value
     finite = value[np.isfinite(value)]
+    if not len(finite):
+        raise DataError(f"{series.name!r} holds no number. Choose another channel.")
     rate = clock(series.time_ns).rate_hz
     # What one of the file's unit is in SI; None where that takes a sensitivity.
     quantity = next(name for name, si in SI_UNITS.items() if si == unit)

@@ -10,6 +10,7 @@ const KINDS: Record<string, { address: string; key: string; text: string; values
   infrared: { address: "rtsp://10.0.0.22/stream", key: "direction", text: "Image axis", values: ["y", "x", "xy"] },
   radar: { address: "udp:4098", key: "config", text: "Configuration file", values: [] },
   displacement: { address: "mqtt:bridge/gnss", key: "unit", text: "Unit", values: ["mm", "m"] },
+  velocity: { address: "mqtt:bridge/vibrometer", key: "unit", text: "Unit", values: ["mm/s", "m/s"] },
 };
 const NEW = "";
 

@@ -11,6 +11,13 @@ MEASURES = {
     "inclinometer": Quantity.TILT,
     "gravity": Quantity.TILT,
 }
+# Fewer angles tell no noise, nor a tilt.
+MIN_ANGLES = 4
+
+
+def turns_image(axis: str) -> float:
+    """The sign with which a rotation about the other image axis moves the image along one, x right and y down."""
+    return 1.0 if axis == "y" else -1.0
 
 
 @dataclass(frozen=True, slots=True)

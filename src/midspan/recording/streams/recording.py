@@ -86,8 +86,7 @@ class Recording:
     def streams(self) -> list[tuple[str, str]]:
         """Name and file of each stream, the accelerometer's first and the reference's last."""
         last = self.settings.reference
-        helping: list[tuple[str, str, Any]] = [(kind, kind, one) for kind, one in self.settings.auxiliary.items()]
-        named = [*self.settings.streams, *helping, *([] if last is None else [("reference", "", last)])]
+        named = [*self.settings.streams, *([] if last is None else [("reference", "", last)])]
         return [(name, section.file) for name, _, section in named]
 
     @property
@@ -325,17 +324,21 @@ class Recording:
 
     @cached_property
     def auxiliary(self) -> dict[str, TimeSeries]:
-        """What helps the sensors, by its kind, in SI units; a rotation as that which moves the image down or right."""
-        if self.root is not self:
-            return self.root.auxiliary
-        found = {}
-        for kind, section in self.settings.auxiliary.items():
-            if isinstance(section, RotationSettings):
-                own = self._series(kind, section, AUXILIARY[kind][1], section.about(self.axis))
-                found[kind] = own if self.axis == "y" else replace(own, value=-own.value)
-            else:
-                found[kind] = self._series(kind, section, AUXILIARY[kind][1])
-        return found
+        """What helps the sensors, by its kind; of a rotation that which moves the image along its main axis."""
+        root = self.root
+        return root.auxiliary if root is not self else {kind: self.helping(kind) for kind in self.settings.auxiliary}
+
+    def helping(self, kind: str, axis: str = "") -> TimeSeries:
+        """The channel of one of AUXILIARY, SI, which may hold no number: others do without it.
+
+        axis: of the image that its rotation moves, left out: the main one. DataError where it has no such channel.
+        """
+        section, axis = self.settings.auxiliary.get(kind), axis or self.axis
+        if not isinstance(section, RotationSettings):
+            return self._series(kind, section, AUXILIARY[kind].quantity, optional=True)
+        if (column := section.about(axis)) is None:
+            raise DataError(f"{self.file}: {kind}: has no column of the rotation that moves the image along {axis}.")
+        return self._series(kind, section, AUXILIARY[kind].quantity, column, optional=True)
 
     @property
     def max_offset_s(self) -> float:
@@ -454,14 +457,20 @@ class Recording:
     def own_files(self) -> set[Path]:
         """The files that make up the recording, resolved: results must not be written over them."""
         own = (section for _, _, section in self.settings.streams)
-        parts: list[Any] = [self.settings.reference, *own, *self.settings.auxiliary.values()]
+        parts: list[Any] = [self.settings.reference, *own]
         lenses = [getattr(part, "lens", None) for part in parts]
         keys = ("file", "times", "config")
         names = [name for part in (*parts, *lenses) for key in keys if (name := getattr(part, key, None))]
         return {self.file.resolve(), *((self.folder / name).resolve() for name in names)}
 
     def _series(
-        self, section: str, channel: SeriesSettings | None, quantity: str, column: str | None = None
+        self,
+        section: str,
+        channel: SeriesSettings | None,
+        quantity: str,
+        column: str | None = None,
+        *,
+        optional: bool = False,
     ) -> TimeSeries:
         if channel is None:
             raise DataError(f"{self.file}: has no [{section}] section.")
@@ -473,6 +482,7 @@ class Recording:
             sensitivity=getattr(channel, "sensitivity", 0.0) or None,
             rate_hz=channel.rate_hz,
             start_s=channel.start_s,
+            optional=optional,
         )
         return read_series(self.path(channel.file, f"{section}.file"), request)
 

@@ -42,7 +42,7 @@ class SeriesRequest:
     `value` may be `-NAME`: the channel in the opposite sense, where none is called so.
     `quantity` is one of `SI_UNITS`, as "acceleration". `unit` wins over the file's. `sensitivity` in V per SI unit with
     a voltage. `rate_hz` and `start_s` (s) make the time where no time channel is named; `start_s` shifts a clock that
-    comes with the file's own rate.
+    comes with the file's own rate. optional: the channel may hold no number.
     """
 
     quantity: str
@@ -52,6 +52,7 @@ class SeriesRequest:
     sensitivity: float | None = None
     rate_hz: float | None = None
     start_s: float = 0.0
+    optional: bool = False
 
 
 def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
@@ -77,7 +78,7 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     time_ns = _times(path, channel, clock, request, notes)
     unit, factor = _unit(path, channel, request, notes)
     value = _si(channel, sense * factor, notes)
-    _check_values(path, channel.name, time_ns, value)
+    _check_values(path, channel.name, time_ns, value, least=0 if request.optional else 2)
     # The columns of its file that are in memory tell whether two rows are one, so that all its channels lose the same
     # rows; clocks do not, nor a column that rises throughout: it counts the rows.
     in_memory = [c for c in found.channels if c.size == channel.size and not isinstance(c.stored, Stored)]
@@ -276,14 +277,14 @@ def _si(channel: Channel, factor: float, notes: list[str]) -> Floats:
     return value
 
 
-def _check_values(path: Path, name: str, time_ns: Nanoseconds, value: Floats) -> None:
+def _check_values(path: Path, name: str, time_ns: Nanoseconds, value: Floats, *, least: int) -> None:
     missing, present = np.flatnonzero(time_ns == NOT_A_TIME), np.count_nonzero(~np.isnan(value))
     if missing.size:
         raise DataError(
             f"{path}: {missing.size} of {time_ns.size} time stamps are missing or invalid, the first in row "
             f"{missing[0] + 1} of the data. Correct or remove these rows, or give rate_hz instead of time."
         )
-    if present < 2:
+    if present < least:
         raise DataError(
             f"{path}: {name!r} must have two numbers or more; received {present} in {value.size} rows. Choose another "
             "channel as value."

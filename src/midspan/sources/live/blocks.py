@@ -16,6 +16,8 @@ from midspan.sources.live.instants import SourceFault
 HEAD = struct.Struct("<BBHIqqI")
 VERSION = 1
 ACCELERATION, DISPLACEMENT, RESULT = 1, 2, 3
+# 4 and 5 are those of many points on one topic.
+VELOCITY, ROTATION_RATE, ANGLE = 6, 7, 8
 # A block lasts seconds: 250 000 values in binary are minutes of any sensor. A longer payload is refused before it is
 # parsed, which would hold up the loop.
 MAX_BYTES = 1_000_000
