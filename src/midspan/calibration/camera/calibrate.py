@@ -266,13 +266,20 @@ def _each(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: TimeOf
         scale = found.scale if fit.tilt is None else fit.tilt.scale(number)
         noise_px = found.noise.std if fit.tilt is None else fit.tilt.noise_px[number]
         scale = target.with_picture_error(scale, view.axis).wider(found.response.relative_std)
-        figures = (scale, noise_px, found.variance_factor)
+        factor = found.variance_factor * (1.0 if fit.tilt is None else _by_own_error(found))
+        figures = (scale, noise_px, factor)
         lever_px = target.lever_px(view.axis)
         known.append(TargetCalibration(target.region, target.name, *figures, not why, why, lever_px))
     known = known if fit.tilt is not None else _without_useless(known)
     found = fit.found[_best(known)]
     assert found is not None
     return replace(_camera(targets, view.axis, known, offset), exposure_s=found.response.exposure_s)
+
+
+def _by_own_error(found: ScaleCalibration) -> float:
+    """By how much the slow error of a difference makes frames noisier: the estimator's slow error is the tilt."""
+    own = found.own
+    return 1.0 if own is None or not own.taken else 1.0 + (own.std / found.noise.std) ** 2
 
 
 def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, notices: Sequence[Notice]) -> CameraFit:
@@ -384,6 +391,11 @@ def _apart_warnings(
     """What camera and accelerometer differ by besides noise, in a sentence; tilt_seen: whether the targets show it."""
     if found.own is not None:
         text = found.own.text("camera", slow_m)
+        if tilt_seen:
+            text = (
+                f"camera: its targets move against each other by {rounded(1e3 * slow_m)} mm rms, which neither a tilt "
+                "nor the accelerometer explains: a roll, hot air, or one moves on its own. It is in the error band."
+            )
         if _tilts_unseen(found, tilt_seen=tilt_seen):
             text += (
                 f" It may tilt slowly as well: the error band includes {rounded(1e3 * SLOW_TILT * slow_m)} mm for "
