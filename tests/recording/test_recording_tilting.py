@@ -76,3 +76,9 @@ def test_one_target_alone_has_a_wide_band_or_is_refused(name, footbridge, tmp_pa
 def test_the_calibration_keeps_the_tilt(calibration, tmp_path):
     again = midspan.load_calibration(calibration.save(tmp_path / "calibration.json"))
     assert again.camera.tilt_std_px == pytest.approx(calibration.camera.tilt_std_px)
+
+
+def test_the_report_of_a_tilting_camera_is_written(footbridge, calibration, tmp_path):
+    result = midspan.estimate(footbridge, calibration, given=False)
+    text = midspan.write_report(result, tmp_path / "report.html").read_text()
+    assert "tilts by" in text

@@ -146,7 +146,7 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
     step_s = float(np.median(np.diff(targets[0].rows.time_ns))) / NANOSECONDS
     return Tilt(
         found,
-        tuple(1.0 / ratios),
+        tuple((1.0 / ratios).tolist()),
         tuple(noise_px),
         float(np.sqrt(shared)),
         pair,
