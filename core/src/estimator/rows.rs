@@ -5,7 +5,7 @@ use super::hypothesis::{Contradiction, Hypothesis};
 use super::innovation::Mixed;
 use super::layout::motion_of;
 use super::matrix::Matrix;
-use super::model::Model;
+use super::model::{ChannelModel, Model};
 use super::reports::Report;
 use super::samples::BRIDGED;
 use crate::Status;
@@ -248,7 +248,10 @@ pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
     if p[(d, d)] <= 0.0 {
         return 0.0;
     }
-    let others: Vec<usize> = own.filter(|one| one.sensor == first.sensor).map(|one| one.zero).collect();
+    // Cameras that share a tilt count from one instant, as the targets of one do.
+    let lead = |one: &ChannelModel| one.slow.map(|slow| slow.lead);
+    let with_first = |one: &&ChannelModel| one.sensor == first.sensor || lead(one).is_some() && lead(one) == lead(first);
+    let others: Vec<usize> = own.filter(with_first).map(|one| one.zero).collect();
     if others.iter().all(|&z| p[(z, z)] == 0.0) {
         let z = first.zero;
         return misfit * (p[(d, d)] + 2.0 * p[(d, z)] + p[(z, z)]).max(0.0);

@@ -54,13 +54,14 @@ MAX_RATIO_STD = 0.05
 class Together:
     """How the images of two cameras on one box compare.
 
-    ratio: pixels of the first one for a pixel of the second by a tilt, signed; std: its standard deviation; late_s:
-    what is to be added to the second one's stamps for them to be on the first one's clock.
+    ratio: pixels of the first one for a pixel of the second by a tilt, signed; std: its standard deviation; late_s,
+    late_std_s: what is to be added to the second one's stamps for them to be on the first one's clock.
     """
 
     ratio: float
     std: float
     late_s: float
+    late_std_s: float
 
     @property
     def tells(self) -> bool:
@@ -126,7 +127,7 @@ def as_seen_by(one: SeenTarget, view: View, other: SeenTarget, other_view: View,
         one.rows,
         **{f"{view.axis}_px": value, f"variance_{view.axis}_px2": variance},
     )
-    return replace(other, rows=rows, reference_px2=found.ratio**2 * other.reference_px2, inverse_distance=None)
+    return replace(other, rows=rows, reference_px2=found.ratio**2 * np.broadcast_to(other.reference_px2[:1], (len(time_s), 2)), inverse_distance=None)
 
 
 def together(
@@ -166,6 +167,7 @@ class _Place:
     ratio: float
     noise: float
     ratio_std: float = np.inf
+    late_std_s: float = 0.0
 
 
 class _Compared:
@@ -207,7 +209,7 @@ class _Compared:
         count = round(reach_s / SCAN_STEP_S)
         tried = SCAN_STEP_S * np.arange(-count, count + 1, dtype=np.float64)
         columns = [partial(lambda t, late: self.course.at(t - late), late=late) for late in tried.tolist()]
-        w, white, known = self._whitened(place, columns)
+        _, white, known = self._whitened(place, columns)
         own = _without(white[:, :1], known)[:, 0]
         others = _without(white[:, -len(columns) :], known)
         alike = (own @ others) ** 2 / np.maximum(np.sum(others**2, axis=0), 1e-300)
@@ -242,7 +244,7 @@ class _Compared:
             moved_s = max(abs(place.offset_s - before.offset_s), abs(place.turned_s - before.turned_s))
             if turn > 1 and abs(place.ratio - before.ratio) < SETTLED * abs(place.ratio) and moved_s < SETTLED:
                 break
-        return Together(place.ratio, place.ratio_std, place.offset_s * -1.0 + place.turned_s)
+        return Together(place.ratio, place.ratio_std, place.turned_s - place.offset_s, place.late_std_s)
 
     def _step(self, place: _Place, known: float | None, fit: Fit | None) -> _Place:
         late, halved = place.turned_s, self.course.halved
@@ -263,7 +265,9 @@ class _Compared:
             scale = float(noisy[:, 1] @ (noisy[:, 0] - ratio * noisy[:, 2]) / (noisy[:, 1] @ noisy[:, 1]))
         left = white[:, 0] - scale * white[:, 1] - ratio * white[:, -2]
         moves = np.column_stack((scale * white[:, 2], -ratio * white[:, -1], white[:, 3:-3]))
-        steps = np.linalg.lstsq(moves, left, rcond=None)[0][:2]
+        found = np.linalg.lstsq(moves, left, rcond=None)[0]
+        steps, rest = found[:2], left - moves @ found
+        covariance = factor * float(rest @ rest) / len(rest) * inverse_of(moves.T @ moves)
         first_s, second_s = np.clip(steps, -MAX_STEP_S, MAX_STEP_S).tolist()
         return replace(
             place,
@@ -272,6 +276,7 @@ class _Compared:
             scale=scale,
             ratio=float(ratio),
             ratio_std=std,
+            late_std_s=float(np.sqrt(covariance[1, 1])),
         )
 
 

@@ -1,0 +1,196 @@
+"""The cameras of a recording together: each is calibrated alone, and two on one box by the tilt that both show."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from math import hypot
+
+from midspan.calibration.camera.box import Together, as_seen_by
+from midspan.calibration.camera.box import together as compared
+from midspan.calibration.camera.calibrate import CameraFit, fit_box
+from midspan.calibration.camera.view import SeenTarget, View
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.engine.tracking import CameraTracking
+from midspan.errors import MidspanError, UntrustedError
+from midspan.notices import Notice
+from midspan.progress import Progress
+from midspan.recording.cameras import SeenBy, calibrated_camera, named, seen_targets, view_of
+from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.window import window_ends
+from midspan.recording.tracking.opening import open_tracking, where_it_sees
+from midspan.recording.tracking.posed import PosedTracking
+from midspan.records import NANOSECONDS, ScaleFactor, TimeOffset
+from midspan.settings.messages import renamed
+
+REMEDY = (
+    "Cameras on one box share its tilt: let one camera see targets at both distances, add a [gyroscope], or give each "
+    "its [camera.lens]."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A camera in the calibration window: its view, tracking and only target, and what it tells alone."""
+
+    recording: Recording
+    tracking: CameraTracking
+    view: View
+    target: SeenTarget
+    alone: SeenBy | None
+
+    @property
+    def offset_s(self) -> float | None:
+        """The clock offset besides the view's, as calibrated."""
+        if self.alone is None:
+            return None
+        return self.alone.parts[0].calibration.offset.value_s - self.view.late_ns / NANOSECONDS
+
+    @property
+    def step_ns(self) -> int:
+        """Mean time between frames."""
+        time_ns = self.target.rows.time_ns
+        return int(time_ns[-1] - time_ns[0]) // max(len(time_ns) - 1, 1)
+
+
+def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy, ...]:
+    """Calibrate every camera of a recording, the one whose zero counts first.
+
+    One of several that cannot be trusted is left out, and the first one's warnings tell why; UntrustedError where none
+    is left.
+    """
+    found: dict[str, SeenBy] = {}
+    refused: dict[str, UntrustedError] = {}
+    for view in recording.cameras:
+        try:
+            found[view.sensor] = calibrated_camera(view, progress)
+        except UntrustedError as error:
+            refused[view.sensor] = error
+    for pair in combinations(recording.cameras, 2):
+        if (both := _by_tilt(pair, found, progress)) is not None:
+            found |= both
+            refused = {name: error for name, error in refused.items() if name not in both}
+    if not found:
+        if len(refused) == 1:
+            raise next(iter(refused.values()))
+        raise UntrustedError(" ".join(f"{name}: {error}" for name, error in refused.items()))
+    reported = tuple(
+        Notice("part-left-out", f"[{name}] is left out of the result. {error}") for name, error in refused.items()
+    )
+    first, *others = (found[view.sensor] for view in recording.cameras if view.sensor in found)
+    return (replace(first, warnings=(*reported, *first.warnings)), *others)
+
+
+def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
+    """The tracking of the first camera, with those of the others with it; None without a camera."""
+    if not seen:
+        return None
+    first, *others = (one.tracking for one in seen)
+    first.companions = tuple(others)
+    return first
+
+
+def _by_tilt(pair: Sequence[Recording], alone: Mapping[str, SeenBy], progress: Progress) -> dict[str, SeenBy] | None:
+    """Both cameras by the tilt that they share, or with what they contradict each other by; None: as they are alone."""
+    if any(not _is_plain(one) for one in pair):
+        return None
+    both = [_seen(one, alone.get(one.sensor), progress) for one in pair]
+    seen = [one for one in both if one is not None]
+    if len(seen) < 2:
+        return None
+    # Between frames of the faster one less happens.
+    base, other = sorted(seen, key=lambda one: -one.step_ns)
+    found = compared(base.view, base.target, other.view, other.target, (base.offset_s, other.offset_s))
+    if found is None:
+        return None
+    told = found if found.tells else replace(found, ratio=1.0)
+    moved = as_seen_by(base.target, base.view, other.target, other.view, told)
+    if moved is None:
+        return None
+    try:
+        fit = fit_box(base.view, [base.target, moved], tells=found.tells)
+    except UntrustedError as error:
+        if any(one.alone is None for one in seen):
+            return None
+        raise UntrustedError(f"{error} {REMEDY}") from None
+    if not isinstance(fit, tuple):
+        return _joined(seen[0], base, other, fit, found)
+    return None if any(one.alone is None for one in seen) else _apart(base, other, *fit)
+
+
+def _is_plain(recording: Recording) -> bool:
+    """Whether a camera's only axis is calibrated by likelihood, and no sensor measures its tilt."""
+    view, turns = view_of(recording), any(kind != "velocity" for kind in recording.root.auxiliary)
+    known = view.scale is not None or view.printed is not None
+    return recording.across is None and not known and not turns and not recording.posed
+
+
+def _seen(recording: Recording, alone: SeenBy | None, progress: Progress) -> _Seen | None:
+    """A camera with one target in the calibration window; None where it has several, or nothing is to be seen."""
+    try:
+        if alone is not None:
+            recording = recording.later(alone.parts[0].calibration.offset.value_s)
+        view, _ = where_it_sees(recording)
+        tracking = open_tracking(view, None, progress) if alone is None else alone.tracking
+        if isinstance(tracking, PosedTracking) or len(tracking.targets) != 1:
+            return None
+        tracking.until(window_ends(view)[1] - view.late_ns)
+        (target,) = seen_targets(view, tracking)
+    except MidspanError:
+        return None
+    return _Seen(view, tracking, view_of(view), replace(target, name=view.sensor), alone)
+
+
+def _apart(base: _Seen, other: _Seen, camera: CameraCalibration, notices: Sequence[Notice]) -> dict[str, SeenBy] | None:
+    """Both cameras with what they contradict each other by in the band; without the one that moves on its own."""
+    alone = {one.recording.sensor: one.alone for one in (base, other) if one.alone is not None}
+    if not notices and all(target.used for target in camera.targets):
+        return None
+    error_m, text = camera.apart_std_m, tuple(line.worded(f"{line} {REMEDY}") for line in notices)
+    widened = {}
+    for name, seen in alone.items():
+        known = seen.parts[0].calibration
+        apart_m = max(known.apart_std_m, error_m)
+        part = replace(seen.parts[0], calibration=replace(known, apart_std_m=apart_m))
+        widened[name] = replace(seen, parts=(part, *seen.parts[1:]), warnings=(*seen.warnings, *text))
+        text = ()
+    return widened
+
+
+def _joined(lead: _Seen, base: _Seen, other: _Seen, fit: CameraFit, found: Together) -> dict[str, SeenBy]:
+    """Both cameras by the difference that is free of their tilt, which is counted in pixels of the one that leads."""
+    whole = fit.calibration
+    assert fit.diagnostics is not None
+    # By the ratio's error some of the tilt is left.
+    left_m = found.std / abs(found.ratio) * whole.tilt_std_px * abs(fit.diagnostics.scale.value_m_per_px)
+    whole = replace(whole, apart_std_m=hypot(whole.apart_std_m, left_m), tilt_of=lead.recording.sensor)
+    late_s = whole.offset.value_s + found.late_s + (other.view.late_ns - base.view.late_ns) / NANOSECONDS
+    offset = TimeOffset(late_s, whole.offset.variance + found.late_std_s**2)
+    per_base, per_other = (1.0, 1.0 / found.ratio) if lead is base else (found.ratio, 1.0)
+    known = (
+        (base, replace(_part(whole, 0, 1.0), tilt_ratio=per_base)),
+        (other, replace(_part(whole, 1, found.ratio), tilt_ratio=per_other, offset=offset)),
+    )
+    both = {}
+    for one, own in known:
+        part = named(one.recording, one.tracking, replace(fit, calibration=own))
+        notices = tuple(renamed(line, base.recording.sensor) for line in fit.warnings) if one is lead else ()
+        both[one.recording.sensor] = SeenBy((part,), one.tracking, notices)
+    return both
+
+
+def _part(whole: CameraCalibration, number: int, ratio: float) -> CameraCalibration:
+    """One camera's part of the calibration of both; ratio: pixels of these that one of its own is."""
+    target = whole.targets[number]
+    assert target.scale is not None
+    scale = ScaleFactor(target.scale.value_m_per_px * ratio, target.scale.variance * ratio**2)
+    target = replace(target, name="1", scale=scale, noise_std_px=target.noise_std_px / abs(ratio))
+    return replace(
+        whole,
+        scale=scale,
+        region=target.region,
+        noise_std_px=target.noise_std_px,
+        variance_factor=target.variance_factor,
+        targets=(target,),
+        tilt_std_px=whole.tilt_std_px / abs(ratio),
+        tilt_walk_px2_s=whole.tilt_walk_px2_s / ratio**2,
+    )
