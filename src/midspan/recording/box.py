@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import hypot
+from math import hypot, inf
 
 from midspan.calibration.camera.box import Together, as_seen_by
 from midspan.calibration.camera.box import together as compared
@@ -24,7 +24,7 @@ from midspan.settings.messages import renamed
 
 REMEDY = (
     "Cameras on one box share its tilt: let one camera see targets at both distances, add a [gyroscope], or give each "
-    "its [camera.lens]."
+    "camera its lens and its target's distance_m."
 )
 
 
@@ -66,9 +66,9 @@ def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy,
         except UntrustedError as error:
             refused[view.sensor] = error
     for pair in combinations(recording.cameras, 2):
-        if (both := _by_tilt(pair, found, progress)) is not None:
-            found |= both
-            refused = {name: error for name, error in refused.items() if name not in both}
+        both = _by_tilt(pair, found, progress)
+        found |= both
+        refused = {name: error for name, error in refused.items() if name not in both}
     if not found:
         if len(refused) == 1:
             raise next(iter(refused.values()))
@@ -92,29 +92,36 @@ def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
 def _by_tilt(pair: Sequence[Recording], alone: Mapping[str, SeenBy], progress: Progress) -> dict[str, SeenBy] | None:
     """Both cameras by the tilt that they share, or with what they contradict each other by; None: as they are alone."""
     if any(not _is_plain(one) for one in pair):
-        return None
+        return {}
     both = [_seen(one, alone.get(one.sensor), progress) for one in pair]
     seen = [one for one in both if one is not None]
     if len(seen) < 2:
-        return None
+        return {}
     # Between frames of the faster one less happens.
     base, other = sorted(seen, key=lambda one: -one.step_ns)
     found = compared(base.view, base.target, other.view, other.target, (base.offset_s, other.offset_s))
     if found is None:
-        return None
-    told = found if found.tells else replace(found, ratio=1.0)
-    moved = as_seen_by(base.target, base.view, other.target, other.view, told)
+        return {}
+    if not found.tells:
+        if base.offset_s is None or other.offset_s is None:
+            return {}
+        # Whatever the ratio is, both are compared as displacements.
+        found = replace(found, ratio=1.0, std=inf, late_s=other.offset_s - base.offset_s)
+    moved = as_seen_by(base.target, base.view, other.target, other.view, found)
     if moved is None:
-        return None
+        return {}
     try:
         fit = fit_box(base.view, [base.target, moved], tells=found.tells)
     except UntrustedError as error:
         if any(one.alone is None for one in seen):
-            return None
+            return {}
         raise UntrustedError(f"{error} {REMEDY}") from None
     if not isinstance(fit, tuple):
         return _joined(seen[0], base, other, fit, found)
-    return None if any(one.alone is None for one in seen) else _apart(base, other, *fit)
+    camera, notices = fit
+    if not notices or any(one.alone is None for one in seen):
+        return {}
+    return _apart(seen, camera.apart_std_m, notices)
 
 
 def _is_plain(recording: Recording) -> bool:
@@ -140,20 +147,17 @@ def _seen(recording: Recording, alone: SeenBy | None, progress: Progress) -> _Se
     return _Seen(view, tracking, view_of(view), replace(target, name=view.sensor), alone)
 
 
-def _apart(base: _Seen, other: _Seen, camera: CameraCalibration, notices: Sequence[Notice]) -> dict[str, SeenBy] | None:
-    """Both cameras with what they contradict each other by in the band; without the one that moves on its own."""
-    alone = {one.recording.sensor: one.alone for one in (base, other) if one.alone is not None}
-    if not notices and all(target.used for target in camera.targets):
-        return None
-    error_m, text = camera.apart_std_m, tuple(line.worded(f"{line} {REMEDY}") for line in notices)
-    widened = {}
-    for name, seen in alone.items():
-        known = seen.parts[0].calibration
-        apart_m = max(known.apart_std_m, error_m)
-        part = replace(seen.parts[0], calibration=replace(known, apart_std_m=apart_m))
-        widened[name] = replace(seen, parts=(part, *seen.parts[1:]), warnings=(*seen.warnings, *text))
-        text = ()
-    return widened
+def _apart(seen: Sequence[_Seen], apart_m: float, notices: Sequence[Notice]) -> dict[str, SeenBy]:
+    """Both cameras with what they contradict each other by (rms, m) in the band, and sentences on it."""
+    found = {}
+    text = tuple(line.worded(f"{line} {REMEDY}") for line in notices)
+    for number, one in enumerate(seen):
+        assert one.alone is not None
+        known = one.alone.parts[0].calibration
+        part = replace(one.alone.parts[0], calibration=replace(known, apart_std_m=max(known.apart_std_m, apart_m)))
+        warnings = (*one.alone.warnings, *(() if number else text))
+        found[one.recording.sensor] = replace(one.alone, parts=(part,), warnings=warnings)
+    return found
 
 
 def _joined(lead: _Seen, base: _Seen, other: _Seen, fit: CameraFit, found: Together) -> dict[str, SeenBy]:

@@ -28,7 +28,7 @@ from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
 from midspan.calibration.time_offset import search_offset
 from midspan.calibration.whitening import Whitened, inverse_of
-from midspan.records import NANOSECONDS, Floats, PixelTrack
+from midspan.records import NANOSECONDS, Floats
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -40,6 +40,8 @@ MIN_TOGETHER = 0.5
 # Clock offsets of the second camera are tried in this step, s, and refined by no more than the second in a round.
 SCAN_STEP_S, MAX_STEP_S = 0.01, 0.02
 ROUNDS, SETTLED = 12, 1e-4
+# A clock offset that one camera alone shows is right to this, s (σ).
+ALONE_S = 2e-3
 # The trackers' variances may be off by this factor from one camera to the other; what the second one shows apart from
 # the displacement must exceed its noise by it.
 NOISE_FACTOR = 4.0
@@ -123,11 +125,9 @@ def as_seen_by(one: SeenTarget, view: View, other: SeenTarget, other_view: View,
     seen = course.seen(time_s)
     value = np.where(seen, found.ratio * course.at(time_s), np.nan)
     variance = np.where(seen, found.ratio**2 * np.interp(time_s, course.time_s, course.variance), np.nan)
-    rows: PixelTrack = replace(
-        one.rows,
-        **{f"{view.axis}_px": value, f"variance_{view.axis}_px2": variance},
-    )
-    return replace(other, rows=rows, reference_px2=found.ratio**2 * np.broadcast_to(other.reference_px2[:1], (len(time_s), 2)), inverse_distance=None)
+    moved = {f"{view.axis}_px": value, f"variance_{view.axis}_px2": variance}
+    reference = found.ratio**2 * np.broadcast_to(other.reference_px2[:1], (len(time_s), 2))
+    return replace(other, rows=replace(one.rows, **moved), reference_px2=reference)
 
 
 def together(
@@ -153,6 +153,7 @@ def together(
     lenses = [target.lens for target in (one, other)]
     focal = [None if lens is None else float(lens.matrix["xy".index(view.axis)]) for lens in lenses]
     known = None if None in focal else focal[0] / focal[1]  # type: ignore[operator]
+    compared.alone_s = offsets_s
     return compared.near(replace(first, turned_s=turned_s), known)
 
 
@@ -175,6 +176,7 @@ class _Compared:
 
     def __init__(self, view: View, one: SeenTarget, course: _Course) -> None:
         self.course, self.reach_s = course, view.max_offset_s
+        self.alone_s: tuple[float | None, float | None] = (None, None)
         pair = without_lonely_outliers(camera_pair(view, one.rows, one.blur_s))
         usable = np.isfinite(pair.rows[:, 2])
         self.typical = float(np.median(pair.rows[usable, 2])) if usable.any() else 1.0
@@ -265,9 +267,15 @@ class _Compared:
             scale = float(noisy[:, 1] @ (noisy[:, 0] - ratio * noisy[:, 2]) / (noisy[:, 1] @ noisy[:, 1]))
         left = white[:, 0] - scale * white[:, 1] - ratio * white[:, -2]
         moves = np.column_stack((scale * white[:, 2], -ratio * white[:, -1], white[:, 3:-3]))
-        found = np.linalg.lstsq(moves, left, rcond=None)[0]
-        steps, rest = found[:2], left - moves @ found
-        covariance = factor * float(rest @ rest) / len(rest) * inverse_of(moves.T @ moves)
+        rest = left - moves @ np.linalg.lstsq(moves, left, rcond=None)[0]
+        unit = factor * float(rest @ rest) / len(rest)
+        power, pulled = moves.T @ moves, moves.T @ left
+        for k, (alone_s, now_s) in enumerate(zip(self.alone_s, (place.offset_s, place.turned_s), strict=True)):
+            if alone_s is not None:
+                power[k, k] += unit / ALONE_S**2
+                pulled[k] += unit / ALONE_S**2 * (alone_s - now_s)
+        inverse = inverse_of(power)
+        steps, covariance = (inverse @ pulled)[:2], unit * inverse
         first_s, second_s = np.clip(steps, -MAX_STEP_S, MAX_STEP_S).tolist()
         return replace(
             place,

@@ -197,7 +197,13 @@ def fit_box(
         (fit,) = one_offset([fit])
     offset = view.offset(fit.used[0].search.offset)
     camera, notices = _judged(view, targets, fit, offset)
-    return (camera, notices) if tilt is None else _fit_of(targets, camera, fit, notices)
+    if tilt is not None:
+        return _fit_of(targets, camera, fit, notices)
+    for before, after in zip(_each(view, targets, fit, offset).targets, camera.targets, strict=True):
+        if before.used and not after.used:
+            # Of two nothing but the accelerometer says so, which a slow tilt deceives.
+            raise UntrustedError(f"Either {after.name} moves on its own or both tilt: {after.reason}")
+    return camera, notices
 
 
 def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Sequence[str]]) -> Fitted:

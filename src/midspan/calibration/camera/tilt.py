@@ -135,7 +135,7 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
         pair,
         certain,
         others,
-        _left(seen, pair, found),
+        _left(seen, pair, found, [noise_px[k] for k in pair]),
         _walk(first, other, step_s),
     )
 
@@ -213,15 +213,16 @@ def _sharpest(
     return best, found[best], errors
 
 
-def _left(seen: Seen, pair: tuple[int, int], found: ScaleCalibration) -> float:
+def _left(seen: Seen, pair: tuple[int, int], found: ScaleCalibration, noise_px: Sequence[float]) -> float:
     """Share of the tilt that the difference holds all the same, as far from the optical axis or with a lens' distortion
-    it does; 0 where the acceleration does not show one.
+    it does; 0 where the acceleration does not show one. noise_px: of both targets.
     """
-    # The difference's noise is not in the mean of both.
-    tilt_px = 0.5 * (seen.left_px[pair[0]] + seen.left_px[pair[1]])
+    # The difference's noise is not in the mean by the weights of both.
+    weights = np.array(noise_px) ** -2.0 / np.sum(np.array(noise_px) ** -2.0)
+    tilt_px = weights @ seen.left_px[list(pair)]
     known = np.isfinite(tilt_px)
-    noise_px = 0.5 * found.noise.std
-    course = Course(seen.time_s[known], tilt_px[known], lambda value: value, noise_px, 0.0)
+    mean_px = float(np.sum(np.array(noise_px) ** -2.0) ** -0.5)
+    course = Course(seen.time_s[known], tilt_px[known], lambda value: value, mean_px, 0.0)
     share = share_in(found.search.pair, found.search.fit, course)
     return 0.0 if share.allows(0.0) else abs(share.value)
 
