@@ -248,9 +248,8 @@ pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
     if p[(d, d)] <= 0.0 {
         return 0.0;
     }
-    // Cameras that share a tilt count from one instant, as the targets of one do.
-    let lead = |one: &ChannelModel| one.slow.map(|slow| slow.lead);
-    let with_first = |one: &&ChannelModel| one.sensor == first.sensor || lead(one).is_some() && lead(one) == lead(first);
+    // Of a first sensor that tilts the others tell how far all is from its zero.
+    let with_first = |one: &&ChannelModel| one.sensor == first.sensor || first.slow.is_some();
     let others: Vec<usize> = own.filter(with_first).map(|one| one.zero).collect();
     if others.iter().all(|&z| p[(z, z)] == 0.0) {
         let z = first.zero;

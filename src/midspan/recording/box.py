@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from math import hypot, inf
 
+from midspan.calibration.camera.with_radar import with_tilt
 from midspan.calibration.camera.box import Together, as_seen_by
 from midspan.calibration.camera.box import together as compared
 from midspan.calibration.camera.calibrate import CameraFit, fit_box
 from midspan.calibration.camera.view import SeenTarget, View
 from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.calibration.sensors.fit import SensorFit
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import MidspanError, UntrustedError
 from midspan.notices import Notice
@@ -198,3 +200,23 @@ def _part(whole: CameraCalibration, number: int, ratio: float) -> CameraCalibrat
         tilt_std_px=whole.tilt_std_px / abs(ratio),
         tilt_walk_px2_s=whole.tilt_walk_px2_s / ratio**2,
     )
+
+
+def with_radar(recording: Recording, seen: tuple[SeenBy, ...], fits: Sequence[SensorFit]) -> tuple[SeenBy, ...]:
+    """The cameras of one target with the tilt that the first radar does not show; fits: of the other sensors."""
+    radar = next((fit for fit in fits if fit.moved is not None), None)
+    views = {view.sensor: view for view in recording.cameras}
+    return seen if radar is None else tuple(_with_radar(views[one.tracking.settings.sensor], one, radar) for one in seen)
+
+
+def _with_radar(recording: Recording, one: SeenBy, radar: SensorFit) -> SeenBy:
+    camera = one.parts[0].calibration
+    if camera.tilt_std_px > 0.0 or not camera.fused or len(camera.targets) != 1 or len(one.tracking.targets) != 1:
+        return one
+    (target,) = seen_targets(recording, one.tracking)
+    fit, notice = with_tilt(view_of(recording), target, one.parts[0], radar)
+    if notice is None:
+        return one
+    # What is said of a sway is said of the tilt now.
+    kept = [line for line in one.warnings if camera.slow_std_m == 0.0 or line.code != "motion-not-shared"]
+    return replace(one, parts=(fit, *one.parts[1:]), warnings=(*kept, renamed(notice, recording.sensor)))

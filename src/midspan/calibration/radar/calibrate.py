@@ -34,7 +34,7 @@ from midspan.radar.frames import (
 )
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.target import MAX_CLUTTER, MAX_RELATIVE_STD, Target, ranked
-from midspan.records import NANOSECONDS, Floats, TimeOffset
+from midspan.records import NANOSECONDS, Displacement, Floats, Source, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.stamps import inside
 
@@ -118,6 +118,12 @@ def fit_radar(
         misfit=coloured,
         slope=response.slope,
         direction=own.direction,
+        moved=Displacement(
+            whole.time_ns + origin + round(NANOSECONDS * calibration.offset.value_s),
+            series.value_m,
+            series.variance_m2,
+            np.full(len(series.value_m), Source.RADAR, dtype=np.uint8),
+        ),
     )
 
 

@@ -27,8 +27,8 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
     8 bits as grey levels, reported in its notes.
 
     `path`: a FLIR fff, seq or csq file, a radiometric JPEG, a folder or glob of fff files, such JPEG or pictures, a
-    multi-page TIFF, an npy or npz stack, a table of a track. Raises UsageError for settings out of range or a missing decoder, DataError
-    for a source that is missing, damaged or in another unit.
+    multi-page TIFF, an npy or npz stack, a table of a track. Raises UsageError for settings out of range or a missing
+    decoder, DataError for a source that is missing, damaged or in another unit.
     """
     request = request or ThermalRequest()
     request.frames.check(path)
