@@ -293,13 +293,7 @@ def camera_channels(
                 slow_units_per_m=None if lead is None else camera.tilt_ratio * table.channels[lead].units_per_m,
             )
             along[axis].append(table.add(channel))
-    for axis, (numbers, camera) in enumerate(zip(along, calibrations, strict=True)):
-        if (lead := _tilts_with(table, camera, axis)) is not None and lead not in numbers:
-            table.scaled_with(numbers, lead)
-            continue
-        # An axis without an accelerometer has the other's scale factor.
-        shared = numbers if camera.fused else []
-        table.scaled(shared or [*numbers, *along[-1]], camera.relative_std)
+    _scale(table, along, calibrations)
     every = [number for numbers in along for number in numbers]
     table.clocked(every, clock_std_s(calibrations[0].offset))
     directions = [camera.direction for camera in calibrations]
@@ -307,6 +301,18 @@ def camera_channels(
     levers = [[mapping.lever_px for mapping in camera.mappings()] for camera in calibrations]
     arms = list(zip(*levers, strict=True))
     return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s, min_std_px=min_std_px, levers_px=arms)
+
+
+def _scale(table: Table, along: Sequence[Sequence[int]], calibrations: Sequence[CameraCalibration]) -> None:
+    """Put the scale errors of a camera's channels, by their axes, to the table."""
+    for axis, (numbers, camera) in enumerate(zip(along, calibrations, strict=True)):
+        lead = _tilts_with(table, camera, axis)
+        if lead is not None and lead not in numbers:
+            table.scaled_with(numbers, lead)
+            continue
+        # An axis without an accelerometer has the other's scale factor.
+        shared = numbers if camera.fused else []
+        table.scaled(shared or [*numbers, *along[-1]], camera.relative_std)
 
 
 def _tilts_with(table: Table, camera: CameraCalibration, axis: int) -> int | None:

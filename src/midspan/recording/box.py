@@ -1,19 +1,23 @@
 """The cameras of a recording together: each is calibrated alone, and two on one box by the tilt that both show."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import hypot, inf
 
-from midspan.calibration.camera.with_radar import with_tilt
+import numpy as np
+
 from midspan.calibration.camera.box import Together, as_seen_by
 from midspan.calibration.camera.box import together as compared
 from midspan.calibration.camera.calibrate import CameraFit, fit_box
-from midspan.calibration.camera.view import SeenTarget, View
+from midspan.calibration.camera.view import SeenTarget, View, filter_settings, target_block
+from midspan.calibration.camera.with_radar import with_tilt
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import MidspanError, UntrustedError
+from midspan.fusion.path import at
+from midspan.fusion.streams import smooth
 from midspan.notices import Notice
 from midspan.progress import Progress
 from midspan.recording.cameras import SeenBy, calibrated_camera, named, seen_targets, view_of
@@ -21,8 +25,9 @@ from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import window_ends
 from midspan.recording.tracking.opening import open_tracking, where_it_sees
 from midspan.recording.tracking.posed import PosedTracking
-from midspan.records import NANOSECONDS, ScaleFactor, TimeOffset
+from midspan.records import NANOSECONDS, Floats, ScaleFactor, TimeOffset, part
 from midspan.settings.messages import renamed
+from midspan.signals.stamps import inside
 
 REMEDY = (
     "Cameras on one box share its tilt: let one camera see targets at both distances, add a [gyroscope], or give each "
@@ -101,7 +106,8 @@ def _by_tilt(pair: Sequence[Recording], alone: Mapping[str, SeenBy], progress: P
         return {}
     # Between frames of the faster one less happens.
     base, other = sorted(seen, key=lambda one: -one.step_ns)
-    found = compared(base.view, base.target, other.view, other.target, (base.offset_s, other.offset_s))
+    moves = _moves(base, other)
+    found = compared(base.view, base.target, other.view, other.target, (base.offset_s, other.offset_s), moves)
     if found is None:
         return {}
     if not found.tells:
@@ -109,7 +115,7 @@ def _by_tilt(pair: Sequence[Recording], alone: Mapping[str, SeenBy], progress: P
             return {}
         # Whatever the ratio is, both are compared as displacements.
         found = replace(found, ratio=1.0, std=inf, late_s=other.offset_s - base.offset_s)
-    moved = as_seen_by(base.target, base.view, other.target, other.view, found)
+    moved = as_seen_by(base.target, base.view, other.target, other.view, found, moves)
     if moved is None:
         return {}
     try:
@@ -124,6 +130,28 @@ def _by_tilt(pair: Sequence[Recording], alone: Mapping[str, SeenBy], progress: P
     if not notices or any(one.alone is None for one in seen):
         return {}
     return _apart(seen, camera.apart_std_m, notices)
+
+
+def _moves(base: _Seen, other: _Seen) -> Callable[[Floats], Floats]:
+    """What the displacement that the first camera and the accelerometer tell makes of the second one's image, px; none
+    where one of them is not calibrated alone.
+    """
+    if base.alone is None or other.alone is None:
+        return np.zeros_like
+    fit, own = base.alone.parts[0], other.alone.parts[0].calibration
+    view, noise = base.view, fit.input_noise
+    acceleration = view.prepared.with_noise(noise.density, noise.motion_s)
+    block = target_block(base.target, fit.calibration.mappings()[0], fit.calibration.exposure_s, acceleration)
+    first, last = int(block.time_ns[0]) - NANOSECONDS, int(block.time_ns[-1]) + NANOSECONDS
+    near = part(acceleration, inside(acceleration.time_ns, first, last))
+    path = smooth(near, block, filter_settings(view.prepared, noise.density)).estimate
+    apart_ns = view.window_ns[0] - other.view.late_ns + round(NANOSECONDS * own.offset.value_s)
+
+    def moved_px(time_s: Floats) -> Floats:
+        time_ns = apart_ns + np.rint(NANOSECONDS * time_s).astype(np.int64)
+        return np.asarray(at(path, time_ns)[0] / own.scale.value_m_per_px)
+
+    return moved_px
 
 
 def _is_plain(recording: Recording) -> bool:
@@ -156,9 +184,9 @@ def _apart(seen: Sequence[_Seen], apart_m: float, notices: Sequence[Notice]) -> 
     for number, one in enumerate(seen):
         assert one.alone is not None
         known = one.alone.parts[0].calibration
-        part = replace(one.alone.parts[0], calibration=replace(known, apart_std_m=max(known.apart_std_m, apart_m)))
+        wider = replace(one.alone.parts[0], calibration=replace(known, apart_std_m=max(known.apart_std_m, apart_m)))
         warnings = (*one.alone.warnings, *(() if number else text))
-        found[one.recording.sensor] = replace(one.alone, parts=(part,), warnings=warnings)
+        found[one.recording.sensor] = replace(one.alone, parts=(wider,), warnings=warnings)
     return found
 
 
@@ -178,9 +206,9 @@ def _joined(lead: _Seen, base: _Seen, other: _Seen, fit: CameraFit, found: Toget
     )
     both = {}
     for one, own in known:
-        part = named(one.recording, one.tracking, replace(fit, calibration=own))
+        named_fit = named(one.recording, one.tracking, replace(fit, calibration=own))
         notices = tuple(renamed(line, base.recording.sensor) for line in fit.warnings) if one is lead else ()
-        both[one.recording.sensor] = SeenBy((part,), one.tracking, notices)
+        both[one.recording.sensor] = SeenBy((named_fit,), one.tracking, notices)
     return both
 
 
@@ -206,7 +234,9 @@ def with_radar(recording: Recording, seen: tuple[SeenBy, ...], fits: Sequence[Se
     """The cameras of one target with the tilt that the first radar does not show; fits: of the other sensors."""
     radar = next((fit for fit in fits if fit.moved is not None), None)
     views = {view.sensor: view for view in recording.cameras}
-    return seen if radar is None else tuple(_with_radar(views[one.tracking.settings.sensor], one, radar) for one in seen)
+    return (
+        seen if radar is None else tuple(_with_radar(views[one.tracking.settings.sensor], one, radar) for one in seen)
+    )
 
 
 def _with_radar(recording: Recording, one: SeenBy, radar: SensorFit) -> SeenBy:

@@ -16,7 +16,7 @@ from midspan.errors import MidspanError, UntrustedError
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
 from midspan.recording.auxiliary import calibrate_auxiliary
-from midspan.recording.box import with_radar, calibrate_cameras, together
+from midspan.recording.box import calibrate_cameras, together, with_radar
 from midspan.recording.cameras import SeenBy
 from midspan.recording.kinds import ROWS
 from midspan.recording.other_channels import other_channels

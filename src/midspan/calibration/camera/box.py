@@ -52,6 +52,12 @@ SPLINE_SHARE = 0.25
 MAX_RATIO_STD = 0.05
 
 
+# Half of the step, s, over which a course's speed is taken.
+SPEED_STEP_S = 1e-3
+
+Moves = Callable[[Floats], Floats]
+
+
 @dataclass(frozen=True, slots=True)
 class Together:
     """How the images of two cameras on one box compare.
@@ -73,12 +79,16 @@ class Together:
 
 @dataclass(frozen=True)
 class _Course:
-    """A target's translation as a function of time: time_s (n,) of its usable frames, after an instant."""
+    """A target's translation as a function of time: time_s (n,) of its usable frames, after an instant.
+
+    value: without what the displacement makes of it, `moves`, which need not be interpolated.
+    """
 
     time_s: Floats
     value: Floats
     variance: Floats
     interval_s: float
+    moves: Moves
 
     @cached_property
     def _spline(self) -> "CubicSpline":
@@ -88,16 +98,19 @@ class _Course:
 
     def at(self, time_s: Floats) -> Floats:
         """The translation (m,), px."""
-        return np.asarray(self._spline(np.clip(time_s, self.time_s[0], self.time_s[-1])))
+        rest = self._spline(np.clip(time_s, self.time_s[0], self.time_s[-1]))
+        return np.asarray(rest + self.moves(time_s))
 
     def speed(self, time_s: Floats) -> Floats:
         """Its derivative (m,), px/s."""
-        return np.asarray(self._spline(np.clip(time_s, self.time_s[0], self.time_s[-1]), 1))
+        after, before = (self.at(time_s + step_s) for step_s in (SPEED_STEP_S, -SPEED_STEP_S))
+        return (after - before) / (2.0 * SPEED_STEP_S)
 
     @property
     def halved(self) -> "_Course":
         """The same by every second frame."""
-        return _Course(self.time_s[::2], self.value[::2], self.variance[::2], 2.0 * self.interval_s)
+        every = (self.time_s[::2], self.value[::2], self.variance[::2])
+        return _Course(*every, 2.0 * self.interval_s, self.moves)
 
     def seen(self, time_s: Floats) -> NDArray[np.bool_]:
         """Which instants (m,) lie between frames that follow each other."""
@@ -106,19 +119,25 @@ class _Course:
         return np.asarray(near & (time_s >= self.time_s[0]) & (time_s <= self.time_s[-1]))
 
 
-def _course_of(view: View, target: SeenTarget, origin_ns: int) -> _Course | None:
+def _course_of(view: View, target: SeenTarget, origin_ns: int, moves: Moves) -> _Course | None:
     """A target's course along the view's axis, its times from an instant on; None where hardly a frame is usable."""
     value, variance = target.rows.along(view.axis)
     usable = np.isfinite(value) & np.isfinite(variance)
     if np.count_nonzero(usable) < MIN_FRAMES:
         return None
     time_s = (target.rows.time_ns + view.late_ns - origin_ns) / NANOSECONDS
-    return _Course(time_s[usable], value[usable], variance[usable], float(np.median(np.diff(time_s))))
+    interval_s, time_s = float(np.median(np.diff(time_s))), time_s[usable]
+    return _Course(time_s, value[usable] - moves(time_s), variance[usable], interval_s, moves)
 
 
-def as_seen_by(one: SeenTarget, view: View, other: SeenTarget, other_view: View, found: Together) -> SeenTarget | None:
-    """The second camera's target as one of the first camera, at whose frames its translation is interpolated."""
-    course = _course_of(other_view, other, view.window_ns[0])
+def as_seen_by(
+    one: SeenTarget, view: View, other: SeenTarget, other_view: View, found: Together, moves: Moves = np.zeros_like
+) -> SeenTarget | None:
+    """The second camera's target as one of the first camera, at whose frames its translation is interpolated.
+
+    moves: as of `together`.
+    """
+    course = _course_of(other_view, other, view.window_ns[0], moves)
     if course is None:
         return None
     time_s = (one.rows.time_ns + view.late_ns - view.window_ns[0]) / NANOSECONDS - found.late_s
@@ -136,12 +155,15 @@ def together(
     other_view: View,
     other: SeenTarget,
     offsets_s: tuple[float | None, float | None] = (None, None),
+    moves: Moves = np.zeros_like,
 ) -> Together | None:
     """How the second camera's image compares with the first one's; None where they hardly see at the same time.
 
-    offsets_s: the clock offset of each besides its view's, as calibrated; None: looked for.
+    offsets_s: the clock offset of each besides its view's, as calibrated; None: looked for. moves: what the
+    displacement makes of the second one's image (n,), px, at times (n,) of its clock with its view's offset, s after
+    the first one's window begins, as far as it is known.
     """
-    course = _course_of(other_view, other, view.window_ns[0])
+    course = _course_of(other_view, other, view.window_ns[0], moves)
     if course is None:
         return None
     compared = _Compared(view, one, course)

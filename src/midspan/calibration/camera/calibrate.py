@@ -222,7 +222,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
 
 
 def _alone(view: View, targets: Sequence[SeenTarget]) -> tuple[Fitted, list[UntrustedError]]:
-    """Each target by itself, and why some are refused."""
+    """Each target on its own, and why some are refused."""
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
     refused: list[UntrustedError] = []

@@ -118,13 +118,14 @@ def fit_radar(
         misfit=coloured,
         slope=response.slope,
         direction=own.direction,
-        moved=Displacement(
-            whole.time_ns + origin + round(NANOSECONDS * calibration.offset.value_s),
-            series.value_m,
-            series.variance_m2,
-            np.full(len(series.value_m), Source.RADAR, dtype=np.uint8),
-        ),
+        moved=_moved(whole, series, origin + round(NANOSECONDS * calibration.offset.value_s)),
     )
+
+
+def _moved(whole: RadarFrames, series: TargetSeries, late_ns: int) -> Displacement:
+    """The displacement that a target tells, its stamps later by `late_ns`."""
+    source = np.full(len(series.value_m), Source.RADAR, dtype=np.uint8)
+    return Displacement(whole.time_ns + late_ns, series.value_m, series.variance_m2, source)
 
 
 @dataclass(frozen=True, slots=True)
