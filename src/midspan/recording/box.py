@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import hypot, inf
+from typing import Any
 
 import numpy as np
 
@@ -96,8 +97,10 @@ def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
     return first
 
 
-def _by_tilt(pair: Sequence[Recording], alone: Mapping[str, SeenBy], progress: Progress) -> dict[str, SeenBy] | None:
-    """Both cameras by the tilt that they share, or with what they contradict each other by; None: as they are alone."""
+def _by_tilt(pair: Sequence[Recording], alone: Mapping[str, SeenBy], progress: Progress) -> dict[str, SeenBy]:
+    """Two cameras by the tilt that they share, or with what they contradict each other by; nothing where they are as
+    they are alone.
+    """
     if any(not _is_plain(one) for one in pair):
         return {}
     both = [_seen(one, alone.get(one.sensor), progress) for one in pair]
@@ -230,7 +233,9 @@ def _part(whole: CameraCalibration, number: int, ratio: float) -> CameraCalibrat
     )
 
 
-def with_radar(recording: Recording, seen: tuple[SeenBy, ...], fits: Sequence[SensorFit]) -> tuple[SeenBy, ...]:
+def with_radar(
+    recording: Recording, seen: tuple[SeenBy, ...], fits: Sequence[SensorFit[Any, Any]]
+) -> tuple[SeenBy, ...]:
     """The cameras of one target with the tilt that the first radar does not show; fits: of the other sensors."""
     radar = next((fit for fit in fits if fit.moved is not None), None)
     views = {view.sensor: view for view in recording.cameras}
@@ -239,7 +244,7 @@ def with_radar(recording: Recording, seen: tuple[SeenBy, ...], fits: Sequence[Se
     )
 
 
-def _with_radar(recording: Recording, one: SeenBy, radar: SensorFit) -> SeenBy:
+def _with_radar(recording: Recording, one: SeenBy, radar: SensorFit[Any, Any]) -> SeenBy:
     camera = one.parts[0].calibration
     if camera.tilt_std_px > 0.0 or not camera.fused or len(camera.targets) != 1 or len(one.tracking.targets) != 1:
         return one

@@ -216,8 +216,8 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
     alone = len(targets) == 1
     lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, fit.reasons, strict=True)]
     text, rest = " ".join(lines), " ".join((*(error.more for error in refused if error.more), *reported()))
-    apart_s = [one.clock_offset_s for one in refused if isinstance(one, NoAgreementError)]
-    apart_s = [one + view.late_ns / NANOSECONDS for one in apart_s if one is not None]
+    offsets_s = [one.clock_offset_s for one in refused if isinstance(one, NoAgreementError)]
+    apart_s = [one + view.late_ns / NANOSECONDS for one in offsets_s if one is not None]
     raise NoAgreementError(text, float(np.median(apart_s)), rest) if apart_s else UntrustedError(text, rest)
 
 

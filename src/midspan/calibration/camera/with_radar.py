@@ -6,6 +6,7 @@ state of the estimator, of the size that shows here, so that the displacement re
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -23,12 +24,15 @@ from midspan.records import NANOSECONDS, part
 from midspan.signals.stamps import inside
 
 
-def with_tilt(view: View, target: SeenTarget, fit: CameraFit, radar: SensorFit) -> tuple[CameraFit, Notice | None]:
+def with_tilt(
+    view: View, target: SeenTarget, fit: CameraFit, radar: SensorFit[Any, Any]
+) -> tuple[CameraFit, Notice | None]:
     """The camera's calibration with the size of the tilt that the radar does not show, and a sentence on it.
 
     As it is, and None, where the camera shows no more than the radar.
     """
     camera, moved = fit.calibration, radar.moved
+    assert moved is not None
     (mapping,) = camera.mappings()
     acceleration = view.prepared.with_noise(radar.input_noise.density, radar.input_noise.motion_s)
     block = target_block(target, mapping, camera.exposure_s, acceleration)
