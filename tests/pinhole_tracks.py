@@ -118,8 +118,8 @@ class Site:
             end = "" if k == 0 else f"_target{k + 1}"
             px = self.pixels(target) + rng.normal(0.0, self.noise_px, (len(self.met_s), 2))
             columns |= {f"x_px{end}": px[:, 0] - px[0, 0], f"y_px{end}": px[:, 1] - px[0, 1]}
-        _table(folder / "accel.csv", {"time_s": at, "accel": felt + 0.02})
-        _table(folder / "track.csv", columns)
+        table(folder / "accel.csv", {"time_s": at, "accel": felt + 0.02})
+        table(folder / "track.csv", columns)
         (folder / "recording.toml").write_text(
             '[accelerometer]\nfile = "accel.csv"\nunit = "m/s^2"\n[camera]\nfile = "track.csv"\ndirection = "y"\n'
             + more
@@ -151,5 +151,6 @@ def rotation(vector: np.ndarray) -> np.ndarray:
     return Rotation.from_rotvec(vector).as_matrix()
 
 
-def _table(file: Path, columns: dict[str, np.ndarray]) -> None:
+def table(file: Path, columns: dict[str, np.ndarray]) -> None:
+    """Writes columns (n,) as a table."""
     np.savetxt(file, np.column_stack(list(columns.values())), "%.7f", ",", header=",".join(columns), comments="")

@@ -350,7 +350,8 @@ class Channel:
     natural frequency of its sensor's slow error (0 Hz: first-order Gauss-Markov; else a damped oscillator);
     slow_walk_m2_s: density of the random walk that this error has besides.
     measures: what; of a tilt or its rate, units_per_m counts per metre of the slow error of the sensor tilt_of, whose
-    tilt that error is, and its rate needs an oscillator. "": of its own sensor.
+    tilt that error is, and its rate needs an oscillator. "": of its own sensor. Of an image that another camera's tilt
+    moves as well, slow_units_per_m are its measured units per metre of that; None: as of the first that has it.
     """
 
     sensor: str
@@ -372,6 +373,7 @@ class Channel:
     slow_walk_m2_s: float = 0.0
     measures: Quantity = Quantity.DISPLACEMENT
     tilt_of: str = ""
+    slow_units_per_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

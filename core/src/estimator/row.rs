@@ -103,8 +103,9 @@ impl Row {
         add(State::Reference(c), g);
         if let Some(lead) = settings.slow_lead(c) {
             // What nods turns all of a picture by as many pixels.
-            add(State::Slow(lead), settings.channels[lead].units_per_m);
-            add(State::SlowWalk(lead), settings.channels[lead].units_per_m);
+            let units = channel.slow_units_per_m.unwrap_or(settings.channels[lead].units_per_m);
+            add(State::Slow(lead), units);
+            add(State::SlowWalk(lead), units);
         }
         let effects = settings.parameters.iter().map(|one| effect(one.kind, one.channels.contains(&c))).collect();
         Self { entries, input: g * blur, velocity: 0.0, axis: a, units_per_m: g, effects }

@@ -5,7 +5,7 @@ use super::hypothesis::{Contradiction, Hypothesis};
 use super::innovation::Mixed;
 use super::layout::motion_of;
 use super::matrix::Matrix;
-use super::model::Model;
+use super::model::{ChannelModel, Model};
 use super::reports::Report;
 use super::samples::BRIDGED;
 use crate::Status;
@@ -248,7 +248,9 @@ pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
     if p[(d, d)] <= 0.0 {
         return 0.0;
     }
-    let others: Vec<usize> = own.filter(|one| one.sensor == first.sensor).map(|one| one.zero).collect();
+    // Of a first sensor that tilts the others tell how far all is from its zero.
+    let with_first = |one: &&ChannelModel| one.sensor == first.sensor || first.slow.is_some();
+    let others: Vec<usize> = own.filter(with_first).map(|one| one.zero).collect();
     // A tilt takes up what a zero would move the displacement by.
     if first.slow.is_none() && others.iter().all(|&z| p[(z, z)] == 0.0) {
         let z = first.zero;

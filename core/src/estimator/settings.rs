@@ -29,8 +29,10 @@ pub struct Channel {
     pub sensor: usize,
     /// What it measures.
     pub measures: Quantity,
-    /// Number of the sensor whose slow error a tilt or its rate is; of others their own.
+    /// Number of the sensor whose slow error a tilt or its rate is, or moves its image too; of others their own.
     pub tilt_of: usize,
+    /// Measured units per metre of the slow error, of an image; None: as of the first channel that has it.
+    pub slow_units_per_m: Option<f64>,
     /// Code of the kind of sensor that marks its rows.
     pub source: u8,
     /// Measured units per metre of displacement, signed; of a tilt per metre of the slow error.
@@ -181,12 +183,12 @@ impl Settings {
         2.0 * std_m * std_m
     }
 
-    /// The first channel of those that share the slow error of channel `c`: of one sensor along one axis; None: it has
-    /// none.
+    /// The first channel of those that share the slow error of channel `c`: of one sensor along one axis, or of several
+    /// on one box; None: it has none.
     pub fn slow_lead(&self, c: usize) -> Option<usize> {
         let own = &self.channels[c];
         let shares =
-            |one: &Channel| one.places() && one.sensor == own.tilt_of && one.axis == own.axis && one.slow_std_m > 0.0;
+            |one: &Channel| one.places() && one.tilt_of == own.tilt_of && one.axis == own.axis && one.slow_std_m > 0.0;
         let has = match own.measures {
             Quantity::Displacement => shares(own),
             Quantity::Velocity => false,

@@ -24,6 +24,7 @@ pub fn channel() -> Channel {
         sensor: 0,
         measures: Quantity::Displacement,
         tilt_of: 0,
+        slow_units_per_m: None,
         source: 1,
         units_per_m: 1.0,
         axis: 0,

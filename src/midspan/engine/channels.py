@@ -116,6 +116,15 @@ class Table:
         std = float(np.hypot(std, GIVEN_SCALE_STD))
         self.parameters.append(Parameter(kind, tuple(channels), std, FIRST_NS, SCALE_WALK, CLEAR_MOTION))
 
+    def scaled_with(self, channels: Sequence[int], other: int) -> None:
+        """Let channels have the scale error of another channel, with which theirs was estimated."""
+        self.parameters = [
+            replace(one, channels=(*one.channels, *channels))
+            if one.kind == ParameterKind.SCALE_ERROR and other in one.channels
+            else one
+            for one in self.parameters
+        ]
+
     def by_first_terms(self) -> None:
         """Let displacement sensors together with others average by the first term, at the motion's frequency."""
         if not in_displacement_alone(self.channels):
@@ -261,7 +270,8 @@ def camera_channels(
         own_s = camera.exposure_s if exposure_s is None else exposure_s
         mappings = camera.mappings()
         noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
-        best, slow = camera.best_used, _slow_error(camera, step_s, turning=table.turning)
+        lead = _tilts_with(table, camera, axis)
+        best, slow = camera.best_used, _slow_error(camera, step_s, turning=table.turning or camera.tilt_of != "")
         for k, (target, mapping) in enumerate(zip(tracking.targets, mappings, strict=True)):
             zero_std_m = 0.0 if k == best else TEMPLATE_NOISE * float(np.hypot(noise[k], noise[best]))
             channel = Channel(
@@ -280,12 +290,11 @@ def camera_channels(
                 slow_time_s=slow[1],
                 slow_hz=slow[2],
                 slow_walk_m2_s=camera.tilt_walk_px2_s * mapping.scale_m_per_px**2,
+                tilt_of="" if lead is None else camera.tilt_of,
+                slow_units_per_m=None if lead is None else camera.tilt_ratio * table.channels[lead].units_per_m,
             )
             along[axis].append(table.add(channel))
-    for numbers, camera in zip(along, calibrations, strict=True):
-        # An axis without an accelerometer has the other's scale factor.
-        shared = numbers if camera.fused else []
-        table.scaled(shared or [*numbers, *along[-1]], camera.relative_std)
+    _scale(table, along, calibrations)
     every = [number for numbers in along for number in numbers]
     table.clocked(every, clock_std_s(calibrations[0].offset))
     directions = [camera.direction for camera in calibrations]
@@ -293,6 +302,24 @@ def camera_channels(
     levers = [[mapping.lever_px for mapping in camera.mappings()] for camera in calibrations]
     arms = list(zip(*levers, strict=True))
     return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s, min_std_px=min_std_px, levers_px=arms)
+
+
+def _scale(table: Table, along: Sequence[Sequence[int]], calibrations: Sequence[CameraCalibration]) -> None:
+    """Put the scale errors of a camera's channels, by their axes, to the table."""
+    for axis, (numbers, camera) in enumerate(zip(along, calibrations, strict=True)):
+        lead = _tilts_with(table, camera, axis)
+        if lead is not None and lead not in numbers:
+            table.scaled_with(numbers, lead)
+            continue
+        # An axis without an accelerometer has the other's scale factor.
+        shared = numbers if camera.fused else []
+        table.scaled(shared or [*numbers, *along[-1]], camera.relative_std)
+
+
+def _tilts_with(table: Table, camera: CameraCalibration, axis: int) -> int | None:
+    """The first channel of the camera whose tilt another one on its box shows too; None: of no other."""
+    channels = enumerate(table.channels)
+    return next((k for k, one in channels if one.sensor == camera.tilt_of and one.axis == axis), None)
 
 
 def _slow_error(camera: CameraCalibration, step_s: float, *, turning: bool) -> tuple[float, float, float]:

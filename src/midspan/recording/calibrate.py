@@ -16,7 +16,8 @@ from midspan.errors import MidspanError, UntrustedError
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
 from midspan.recording.auxiliary import calibrate_auxiliary
-from midspan.recording.cameras import SeenBy, calibrate_cameras, together
+from midspan.recording.box import calibrate_cameras, together, with_radar
+from midspan.recording.cameras import SeenBy
 from midspan.recording.kinds import ROWS
 from midspan.recording.other_channels import other_channels
 from midspan.recording.streams.recording import Recording, naming, opened
@@ -90,7 +91,9 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
 
 def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
     seen = calibrate_cameras(recording, progress) if recording.cameras else ()
-    fits = [one.parts[0] for one in seen] + [_fitted(view, progress) for view in recording.views if view.kind in ROWS]
+    others = [_fitted(view, progress) for view in recording.views if view.kind in ROWS]
+    seen = with_radar(recording, seen, others)
+    fits = [one.parts[0] for one in seen] + others
     warnings = [*recording.channel_warnings, *(line for one in seen for line in one.warnings)]
     warnings += [line for fit in fits[len(seen) :] for line in fit.warnings]
     gains = [(fit.gain_std, fit.gain) for fit in fits if fit.gain_std > 0.0]

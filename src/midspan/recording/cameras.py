@@ -1,4 +1,4 @@
-"""The part of a calibration that rests on pictures: one camera, a thermal one, or both, each where it sees."""
+"""The part of a calibration that rests on the pictures of one camera, where it sees."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -43,41 +43,7 @@ class SeenBy:
     warnings: tuple[Notice, ...]
 
 
-def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy, ...]:
-    """Calibrate every camera of a recording, the one whose zero counts first.
-
-    One of several that cannot be trusted is left out, and the first one's warnings tell why; UntrustedError where none
-    is left.
-    """
-    found: list[SeenBy] = []
-    refused: list[tuple[Recording, UntrustedError]] = []
-    for view in recording.cameras:
-        try:
-            found.append(_calibrated(view, progress))
-        except UntrustedError as error:
-            refused.append((view, error))
-    if not found:
-        if len(refused) == 1:
-            raise refused[0][1]
-        first, *others = (f"{view.sensor}: {error}" for view, error in refused)
-        raise UntrustedError(first, " ".join((*others, *(error.more for _, error in refused if error.more))))
-    reported = tuple(
-        Notice("part-left-out", f"[{view.sensor}] is left out of the result. {error}") for view, error in refused
-    )
-    found[0] = replace(found[0], warnings=(*reported, *found[0].warnings))
-    return tuple(found)
-
-
-def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
-    """The tracking of the first camera, with those of the others with it; None without a camera."""
-    if not seen:
-        return None
-    first, *others = (one.tracking for one in seen)
-    first.companions = tuple(others)
-    return first
-
-
-def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
+def calibrated_camera(recording: Recording, progress: Progress) -> SeenBy:
     """What one camera gave; once more where its clock is found farther off than was searched and nothing forbids it."""
     try:
         return _calibrated_near(recording, progress)
@@ -106,7 +72,7 @@ def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
             tracking, parts = _in_best_range(view, tracking, parts, progress)
         if tracking.learns_by_acceleration:
             tracking, parts = _taught(view, tracking, parts, progress)
-        parts = tuple(_named(view, tracking, part) for part in parts)
+        parts = tuple(named(view, tracking, part) for part in parts)
     reported = [Notice("window-moved", line) for line in moved]
     if isinstance(view.own.settings, InfraredSettings) and is_grey(view):
         reported.append(Notice("thermal", f"infrared: {AGC_NOTE}."))
@@ -376,7 +342,7 @@ def wants_range(view: Recording) -> bool:
     )
 
 
-def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> CameraFit:
+def named(view: Recording, tracking: CameraTracking, part: CameraFit) -> CameraFit:
     """What was estimated along one axis, with the camera's name, the temperatures seen, and what the values rest on."""
     regions = [target.region for target in tracking.targets]
     place = regions.index(part.calibration.region) if part.calibration.region in regions else 0

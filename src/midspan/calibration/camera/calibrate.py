@@ -178,11 +178,55 @@ def _with_tracked(view: View, targets: Sequence[SeenTarget], main: CameraFit, re
     return main, replace(only, warnings=reported)
 
 
+def fit_box(
+    view: View, targets: Sequence[SeenTarget], *, tells: bool
+) -> CameraFit | tuple[CameraCalibration, tuple[Notice, ...]]:
+    """Calibrate two cameras on one box, the second one's target as seen by the first one (`box.as_seen_by`).
+
+    tells: whether what a tilt moves both by compares for certain. The calibration of both where they show a tilt; else
+    what they contradict each other by, and sentences on it. Raises UntrustedError where that is too much, or neither
+    can be calibrated.
+    """
+    fit, _ = _alone(view, targets)
+    tilt = tilt_of(view, targets, fit, lambda: _tilts(view, targets, fit)) if tells else None
+    if tilt is not None:
+        fit = Fitted(tuple(tilt.found for _ in targets), ("",) * len(targets), tilt)
+    if not fit.used:
+        raise UntrustedError(" ".join(fit.reasons))
+    if tilt is None:
+        (fit,) = one_offset([fit])
+    offset = view.offset(fit.used[0].search.offset)
+    camera, notices = _judged(view, targets, fit, offset)
+    if tilt is not None:
+        return _fit_of(targets, camera, fit, notices)
+    for before, after in zip(_each(view, targets, fit, offset).targets, camera.targets, strict=True):
+        if before.used and not after.used:
+            # Of two nothing but the accelerometer says so, which a slow tilt deceives.
+            raise UntrustedError(f"Either {after.name} moves on its own or both tilt: {after.reason}")
+    return camera, notices
+
+
 def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Sequence[str]]) -> Fitted:
+    fit, refused = _alone(view, targets)
+    tilt = tilt_of(view, targets, fit, lambda: _tilts(view, targets, fit)) if len(targets) > 1 else None
+    if tilt is not None:
+        return Fitted(tuple(tilt.found for _ in targets), tilt.others.reasons, tilt)
+    if any(fit.found):
+        return fit
+    alone = len(targets) == 1
+    lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, fit.reasons, strict=True)]
+    more = (error.more for error in refused if error.more)
+    text, rest = lines[0], " ".join((*lines[1:], *more, *reported()))
+    offsets_s = [one.clock_offset_s for one in refused if isinstance(one, NoAgreementError)]
+    apart_s = [one + view.late_ns / NANOSECONDS for one in offsets_s if one is not None]
+    raise NoAgreementError(text, float(np.median(apart_s)), rest) if apart_s else UntrustedError(text, rest)
+
+
+def _alone(view: View, targets: Sequence[SeenTarget]) -> tuple[Fitted, list[UntrustedError]]:
+    """Each target on its own, and why some are refused."""
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
-    apart_s: list[float] = []
-    more: list[str] = []
+    refused: list[UntrustedError] = []
     for target in targets:
         try:
             own = scale_on_any_clock(view, target)
@@ -193,19 +237,8 @@ def _fitted(view: View, targets: Sequence[SeenTarget], reported: Callable[[], Se
         except UntrustedError as error:
             found.append(None)
             reasons.append(str(error))
-            more += [error.more] if error.more else []
-            if isinstance(error, NoAgreementError) and error.clock_offset_s is not None:
-                apart_s.append(error.clock_offset_s + view.late_ns / NANOSECONDS)
-    fit = Fitted(tuple(found), tuple(reasons))
-    tilt = tilt_of(view, targets, fit, lambda: _tilts(view, targets, fit)) if len(targets) > 1 else None
-    if tilt is not None:
-        return Fitted(tuple(tilt.found for _ in targets), tilt.others.reasons, tilt)
-    if any(found):
-        return fit
-    alone = len(targets) == 1
-    lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
-    text, rest = lines[0], " ".join((*lines[1:], *more, *reported()))
-    raise NoAgreementError(text, float(np.median(apart_s)), rest) if apart_s else UntrustedError(text, rest)
+            refused.append(error)
+    return Fitted(tuple(found), tuple(reasons)), refused
 
 
 def _tilts(view: View, targets: Sequence[SeenTarget], fit: Fitted) -> bool:

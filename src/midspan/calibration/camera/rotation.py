@@ -363,7 +363,7 @@ def _solved(columns: Floats, noises: Floats, walked: tuple[float, float], focal:
     if focal is not None:
         noisy = np.column_stack((columns[:, 0] - focal * angle, moved))
         noises = np.array([noises[0] + focal**2 * noises[2], noises[1]])
-    found, misfit = _least(noisy, noises)
+    found, misfit = least_squares(noisy, noises)
     left, taken = noisy[:, 0] - noisy[:, 1:] @ found, np.append(misfit * noises[1:], 0.0)
     own = np.column_stack((noisy[:, 1:], found[0] * columns[:, 3]))
     inverse = inverse_of(own.T @ own - np.diag(taken))
@@ -384,7 +384,7 @@ def _solved(columns: Floats, noises: Floats, walked: tuple[float, float], focal:
     )
 
 
-def _least(columns: Floats, noises: Floats) -> tuple[Floats, float]:
+def least_squares(columns: Floats, noises: Floats) -> tuple[Floats, float]:
     """Coefficients (k,) of the columns after the first one (n, 1 + k) that give it, and the power of what is left over
     that of the noises.
     """

@@ -152,20 +152,20 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
         pair,
         certain,
         others,
-        _left(seen, pair, found),
+        _left(seen, pair, found, [noise_px[k] for k in pair]),
         _roll(view.axis, *(targets[k] for k in pair)),
-        _walk(first, other, step_s),
+        walk_of(0.5 * (first + other), step_s),
     )
 
 
-def _walk(one: Floats, other: Floats, step_s: float) -> float:
-    """Density (px²/s) of a random walk that what two targets (n,) have in common goes on by; step_s: between frames.
+def walk_of(tilt_px: Floats, step_s: float) -> float:
+    """Density (px²/s) of a random walk that a tilt (n,), NaN where it is not seen, goes on by; step_s: between frames.
 
     By the steps between means over a second that one of twenty exceeds, as walkers come now and then.
     """
     second = max(round(1.0 / step_s), 1)
-    count = len(one) // second
-    blocks = 0.5 * (one + other)[: count * second].reshape(count, second)
+    count = len(tilt_px) // second
+    blocks = tilt_px[: count * second].reshape(count, second)
     seen = np.isfinite(blocks).any(axis=1)
     mean = np.full(count, np.nan)
     mean[seen] = np.nanmean(blocks[seen], axis=1)
@@ -246,15 +246,16 @@ def _sharpest(
     return best, found[best], errors
 
 
-def _left(seen: Seen, pair: tuple[int, int], found: ScaleCalibration) -> float:
+def _left(seen: Seen, pair: tuple[int, int], found: ScaleCalibration, noise_px: Sequence[float]) -> float:
     """Share of the tilt that the difference holds all the same, as far from the optical axis or with a lens' distortion
-    it does; 0 where the acceleration does not show one.
+    it does; 0 where the acceleration does not show one. noise_px: of both targets.
     """
-    # The difference's noise is not in the mean of both.
-    tilt_px = 0.5 * (seen.left_px[pair[0]] + seen.left_px[pair[1]])
+    # The difference's noise is not in the mean by the weights of both.
+    weights = np.array(noise_px) ** -2.0 / np.sum(np.array(noise_px) ** -2.0)
+    tilt_px = weights @ seen.left_px[list(pair)]
     known = np.isfinite(tilt_px)
-    noise_px = 0.5 * found.noise.std
-    course = Course(seen.time_s[known], tilt_px[known], lambda value: value, noise_px, 0.0)
+    mean_px = float(np.sum(np.array(noise_px) ** -2.0) ** -0.5)
+    course = Course(seen.time_s[known], tilt_px[known], lambda value: value, mean_px, 0.0)
     share = share_in(found.search.pair, found.search.fit, course)
     return 0.0 if share.allows(0.0) else abs(share.value)
 

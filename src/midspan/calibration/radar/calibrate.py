@@ -34,7 +34,7 @@ from midspan.radar.frames import (
 )
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.target import MAX_CLUTTER, MAX_RELATIVE_STD, Target, ranked
-from midspan.records import NANOSECONDS, Floats, TimeOffset
+from midspan.records import NANOSECONDS, Displacement, Floats, Source, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.stamps import inside
 
@@ -83,8 +83,7 @@ def fit_radar(
     targets, offset = _chosen(found, most_targets, target_range_m)
     seen = [series_of(frames, item.target, info, samples) for item in targets if item.used]
     targets, moving = judged(targets, seen, whole.time_ns / NANOSECONDS + offset.value_s, samples, prepared.lines)
-    best = next(item.target for item in targets if item.used)
-    series = series_of(frames, best, info, samples)
+    series = series_of(frames, best := next(item.target for item in targets if item.used), info, samples)
     # A second way to clock offset, factor and noise levels of the best target.
     search = search_offset(radar_pair(prepared, whole, series, (origin, max_offset)), max_offset)
     _refuse_ambiguity(search, max_offset)
@@ -92,7 +91,7 @@ def fit_radar(
     kinds = [kind for kind in kinds_of(search.pair, exposure_declared=True) if kind is not Kind.LAG]
     search, response = with_frequency(search, search.pair, max_offset, kinds)
     if response.known:
-        # The acceleration alone, by which the targets' factors were found, is off by as much in all of them.
+        # The acceleration alone, that gave the targets' factors, is off by as much in all.
         gain = best.conversion_factor * search.fit.ratio
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
@@ -118,7 +117,15 @@ def fit_radar(
         misfit=coloured,
         slope=response.slope,
         direction=own.direction,
+        moved=_moved(whole, series, origin, offset),
     )
+
+
+def _moved(whole: RadarFrames, series: TargetSeries, origin_ns: int, offset: TimeOffset) -> Displacement:
+    """The displacement that a target tells, on the accelerometer's clock."""
+    late_ns = origin_ns + round(NANOSECONDS * offset.value_s)
+    source = np.full(len(series.value_m), Source.RADAR, dtype=np.uint8)
+    return Displacement(whole.time_ns + late_ns, series.value_m, series.variance_m2, source)
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,7 +74,8 @@ class CameraCalibration:
     0 where it is declared or does not show. apart_std_m: what it and the accelerometer contradict each other by, rms,
     where nothing tells which is wrong. slow_std_m, slow_time_s, slow_hz: of its slow error, see `records.Channel`.
     tilt_std_px: standard deviation of its tilt in the image, where targets at several distances show it; else 0.
-    tilt_walk_px2_s: density of the random walk that it goes on by.
+    tilt_walk_px2_s: density of the random walk that it goes on by. tilt_of: name of the camera on the same box whose
+    tilt that is, "": its own; tilt_ratio: pixels of this one for a pixel of that one by a tilt.
     name: where there are several sensors of a kind. literal: scale and offset are as printed (see
     `papers/printed/camera.py`). diagnostics: what the best target's values rest on, for the report; not in the file.
     """
@@ -100,6 +101,8 @@ class CameraCalibration:
     slow_hz: float = 0.0
     tilt_std_px: float = 0.0
     tilt_walk_px2_s: float = 0.0
+    tilt_of: str = ""
+    tilt_ratio: float = 1.0
     name: str | None = None
     literal: bool = False
     diagnostics: ScaleCalibration | None = field(default=None, compare=False, repr=False)

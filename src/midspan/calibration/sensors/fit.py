@@ -15,7 +15,7 @@ from midspan.calibration.agreement import Misfit
 from midspan.calibration.direction import Direction
 from midspan.calibration.fit import Fit, Pair, aligned, corner_range, evaluate
 from midspan.notices import Notice
-from midspan.records import Floats, InputNoise
+from midspan.records import Displacement, Floats, InputNoise
 
 # Logarithms of the corner frequency, relative to the best fit's, that are averaged over: reach and step.
 REACH, STEP = 3.0, 0.25
@@ -84,7 +84,7 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     innovations are from white. slope: by which the accelerometer leans as it moves, radians a metre. direction: of the
     sensor's axis, None where the accelerometer's other axes were not recorded. parts: what the relative standard
     deviation of the scale is made of, by the names of `scale.PARTS`. gyroscope: what was found of one on a camera's
-    box.
+    box. moved: the displacement that a radar tells in the calibration window, on the accelerometer's clock.
     """
 
     calibration: Calibrated
@@ -99,3 +99,4 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     direction: Direction | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
     gyroscope: Any = None
+    moved: Displacement | None = None

@@ -60,7 +60,7 @@ def levels_of(view: Recording, known: CameraCalibration | None) -> Limits | None
 
 def is_grey(view: Recording) -> bool:
     """Whether a thermal camera's frames are grey levels of 8 bits instead of temperatures."""
-    return not view.frames.info.radiometric
+    return not view.frames.info.radiometric and not view.frames.tracks
 
 
 def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:

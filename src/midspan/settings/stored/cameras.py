@@ -96,6 +96,8 @@ class StoredScale(Stored):
     slow_hz: Std = Field(0.0, description="frequency of the slow error; 0: first-order Gauss-Markov")
     tilt_std_px: Std = Field(0.0, description="standard deviation of the tilt that the targets show; 0: none")
     tilt_walk_px2_s: Std = Field(0.0, description="density of the tilt's random walk, px²/s")
+    tilt_of: Text = Field("", description="camera on the same box whose tilt that is; empty: its own")
+    tilt_ratio: Factor = Field(1.0, description="pixels of this camera for a pixel of that one by a tilt, signed")
     noise_std_px: Noise = Field(0.02, description="noise of one frame's translation")
     variance_factor: Ratio = Field(1.0, description="estimated variance over the tracker's own")
     targets: tuple[StoredTarget, ...] = ()

@@ -27,8 +27,8 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
     8 bits as grey levels, reported in its notes.
 
     `path`: a FLIR fff, seq or csq file, a radiometric JPEG, a folder or glob of fff files, such JPEG or pictures, a
-    multi-page TIFF, an npy or npz stack. Raises UsageError for settings out of range or a missing decoder, DataError
-    for a source that is missing, damaged or in another unit.
+    multi-page TIFF, an npy or npz stack, a table of a track. Raises UsageError for settings out of range or a missing
+    decoder, DataError for a source that is missing, damaged or in another unit.
     """
     request = request or ThermalRequest()
     request.frames.check(path)
@@ -42,6 +42,8 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
             refuse_dji(file)
         # Missing values are filled, and frames of too many passed over, once all is in °C.
         raw = open_frames(path, replace(request.frames, with_missing=True))
+        if raw.tracks:
+            return raw
         pictures = ThermalPictures(raw, request, str(path))
         return RepairedFrames(pictures, str(path)) if pictures.info.radiometric else pictures
 
