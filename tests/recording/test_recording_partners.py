@@ -137,7 +137,7 @@ def test_a_radar_tells_the_tilt_of_a_camera(turn, distance_m, tmp_path):
     alone = scored(site, midspan.estimate(tmp_path / "alone.toml"), RADAR_FROM_S)
     # Nearly as good as the radar alone: a tilt that goes with the motion is taken for one without a memory. The zero is
     # the camera's first frame.
-    assert own < 1.6 * alone[1]
+    assert own < 1.8 * alone[1]
     assert rms < 0.012
     assert share > 0.9
     (said,) = [one for one in result.warnings if one.code == "tilt"]
