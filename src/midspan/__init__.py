@@ -35,6 +35,7 @@ _PLACES = {
     "Result": "recording.result",
     "UntrustedError": "errors",
     "UsageError": "errors",
+    "batch": "scale.batch",
     "calibrate": "recording.calibrate",
     "calibrate_noise": "calibration.noise",
     "calibrate_scale": "calibration.scale",

@@ -20,6 +20,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "estimate",
         "Displacement in mm at the accelerometer's rate, from a recording or two files.",
     ),
+    "batch": ("batch", "Estimate many recordings as one campaign; what is done is skipped."),
     "track": ("track", "Camera alone: translation of a target in pixels, frame by frame."),
     "lens": ("lens", "Calibrate a lens from checkerboard images, for [camera.lens]."),
     "compare": ("compare", "Compare a result with a reference: RMSE, bias, correlation, lag."),

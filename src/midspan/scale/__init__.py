@@ -1,0 +1,1 @@
+"""Many recordings as one: campaigns, on one machine or on several."""

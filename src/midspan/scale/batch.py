@@ -1,0 +1,98 @@
+"""A campaign: every recording estimated, what is done skipped, a summary of all."""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from midspan.checks import instance, option, path_of
+from midspan.errors import MidspanError, UsageError
+from midspan.progress import Progress, silent
+from midspan.scale.jobs import jobs_of
+from midspan.scale.runners import RUNNERS, Died
+from midspan.scale.summary import frame_of, write_summary
+from midspan.scale.work import INTERNAL, Outcome, Task, work
+from midspan.settings.campaign import load_campaign
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """What came of a campaign: the folder of its results, and the outcomes in the order of their names."""
+
+    output: Path
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def exit_code(self) -> int:
+        """0 where all are done, 3 where some failed or were refused."""
+        return 3 if any(one.exit_code for one in self.outcomes) else 0
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """One row a recording, with the columns of summary.csv."""
+        return frame_of(self.outcomes)
+
+
+def batch(
+    campaign: str | Path, *, runner: str = "process", workers: int | None = None, progress: Progress = silent
+) -> Campaign:
+    """Estimate all recordings of a CAMPAIGN.toml (or its folder).
+
+    runner: "local" (in this process), "process" (long-lived processes of this machine) or "ray" (a cluster); workers:
+    how many, left out: one a processor. Recordings whose files, choices and version are those of an earlier run are not
+    estimated again. One that fails does not stop the rest: its exit code, as of `midspan estimate`, and message are in
+    the summary. Writes rows/ (a Parquet set partitioned by `recording`) and summary.csv, .parquet and .html to the
+    campaign's output. Raises UsageError or DataError for a campaign that cannot be read.
+    """
+    option("runner", runner, RUNNERS)
+    if workers is not None and instance("workers", workers, int, "a whole number") < 1:
+        raise UsageError(f"workers: must be at least 1; received {workers}.")
+    settings, folder = load_campaign(path_of("campaign", campaign))
+    output = folder / settings.output
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{output}: cannot be made ({error.strerror}). Choose another output.") from None
+    tasks = [Task(job, output) for job in jobs_of(settings, folder)]
+    shown = _Shown(len(tasks), progress)
+    outcomes: list[Outcome | None] = [None] * len(tasks)
+    with closing(RUNNERS[runner](workers).run(work, tasks)) as results:  # type: ignore[type-var]
+        for number, result in results:
+            outcomes[number] = _outcome(tasks[number], result)
+            shown.one_more()
+    whole = tuple(one for one in outcomes if one is not None)
+    write_summary(output, whole)
+    return Campaign(output, whole)
+
+
+def _outcome(task: Task, result: Any) -> Outcome:
+    if isinstance(result, MidspanError):
+        raise result
+    if isinstance(result, Died):
+        return Outcome(task.job.name, INTERNAL, message=str(result))
+    assert isinstance(result, Outcome)
+    return result
+
+
+class _Shown:
+    """Progress with a rate and the time at which all is done."""
+
+    def __init__(self, total: int, progress: Progress, clock: Callable[[], float] = time.time) -> None:
+        self._total, self._progress, self._clock = total, progress, clock
+        self._done, self._begun_s = 0, clock()
+        progress(0, total, "recordings")
+
+    def one_more(self) -> None:
+        """One recording is done."""
+        self._done += 1
+        rate = self._done / max(self._clock() - self._begun_s, 1e-3)
+        end_s = self._clock() + (self._total - self._done) / rate
+        end = time.strftime("%H:%M", time.localtime(end_s))
+        self._progress(self._done, self._total, f"recordings, {60.0 * rate:.3g} a minute, done at {end}")
+
+
+__all__: Sequence[str] = ("Campaign", "batch")

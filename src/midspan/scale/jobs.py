@@ -1,0 +1,141 @@
+"""The recordings of a campaign, one job each: what is estimated, under which name, and what its result depends on."""
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from midspan._version import __version__
+from midspan.errors import DataError, UsageError
+from midspan.scale.remote import is_url, parts_of, recordings
+from midspan.settings.campaign import CampaignSettings
+from midspan.settings.load import RECORDING_FILE, load_settings
+from midspan.settings.recording import RecordingSettings
+from midspan.settings.two_files import Choices
+
+# Columns of a table's row besides the options of `estimate`.
+ACCELEROMETER, VIDEO = "accelerometer", "video"
+# Keys of sections that name files.
+FILE_KEYS = ("file", "times", "config")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One recording: its name in the campaign, its recording.toml, or an accelerometer's file and a second one with the
+    choices of two files; method, tracker and calibration (a path) over its own; url: where it is fetched from, if it
+    has no path of this machine.
+    """
+
+    name: str
+    path: Path
+    second: Path | None = None
+    choices: dict[str, Any] = field(default_factory=dict)
+    method: str | None = None
+    tracker: str | None = None
+    calibration: Path | None = None
+    url: str = ""
+
+
+def jobs_of(campaign: CampaignSettings, folder: Path) -> tuple[Job, ...]:
+    """The jobs in the order of their names; UsageError where there is none, or two have one name."""
+    calibration = None if campaign.calibration is None else folder / campaign.calibration
+    more: dict[str, Any] = {"method": campaign.method, "tracker": campaign.tracker, "calibration": calibration}
+    here = [pattern for pattern in campaign.recordings if not is_url(pattern)]
+    jobs = [Job(_name(path, folder), path, **more) for path in _recordings(here, folder)]
+    urls = [url for pattern in campaign.recordings if is_url(pattern) for url in recordings(pattern)]
+    jobs += [Job(url, Path(RECORDING_FILE), url=url, **more) for url in dict.fromkeys(urls)]
+    if campaign.table is not None:
+        jobs += [Job(**{**more, **row}) for row in _rows(folder / campaign.table, folder)]
+    if not jobs:
+        raise DataError(f"{folder}: no recording matches {', '.join(campaign.recordings) or campaign.table}.")
+    names = [job.name for job in jobs]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise UsageError(f"The campaign names {', '.join(twice)} twice. Name each recording once.")
+    return tuple(sorted(jobs, key=lambda job: job.name))
+
+
+def _recordings(patterns: Sequence[str], folder: Path) -> Iterator[Path]:
+    """The recording.toml of globs and folders, each once."""
+    found = dict.fromkeys(
+        path / RECORDING_FILE if path.is_dir() else path
+        for pattern in patterns
+        for path in (sorted(folder.glob(pattern)) if not Path(pattern).is_absolute() else [Path(pattern)])
+    )
+    yield from (path for path in found if path.name == RECORDING_FILE and path.is_file())
+
+
+def _name(path: Path, folder: Path) -> str:
+    """A recording's folder relative to the campaign."""
+    own = path.parent.resolve()
+    base = folder.resolve()
+    return own.relative_to(base).as_posix() if own.is_relative_to(base) else own.as_posix()
+
+
+def _rows(table: Path, folder: Path) -> Iterator[dict[str, Any]]:
+    """Name, files and choices of each row of a table."""
+    import pandas as pd
+
+    try:
+        frame = pd.read_parquet(table) if table.suffix.lower() == ".parquet" else pd.read_csv(table, dtype=str)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{table}: cannot be read ({error}).") from None
+    options, own = [one.name for one in fields(Choices)], ["method", "tracker"]
+    missing = sorted({ACCELEROMETER, VIDEO} - {*frame.columns})
+    unknown = sorted({*map(str, frame.columns)} - {ACCELEROMETER, VIDEO, *options, *own})
+    if missing or unknown:
+        wrong = f"has no column {missing[0]}" if missing else f"has an unknown column {unknown[0]}"
+        raise UsageError(f"{table}: {wrong}. Its columns are accelerometer, video, {', '.join([*options, *own])}.")
+    for row in frame.to_dict("records"):
+        chosen = {key: row[key] for key in options if key in row and not pd.isna(row[key])}
+        if "rate_hz" in chosen:
+            chosen["rate_hz"] = float(chosen["rate_hz"])
+        second = folder / str(row[VIDEO])
+        yield {
+            "name": Path(row[VIDEO]).with_suffix("").as_posix(),
+            "path": folder / str(row[ACCELEROMETER]),
+            "second": second,
+            "choices": chosen,
+            **{key: row[key] for key in own if key in row and not pd.isna(row[key])},
+        }
+
+
+def files_of(job: Job) -> list[Path]:
+    """The files that a job's result depends on; of a sequence of images all."""
+    own = [job.path] if job.second is None else [job.path, job.second]
+    if job.second is None:
+        settings = load_settings(job.path)
+        own += [path for name in named_files(settings) for path in _matching(job.path.parent, name)]
+    return [*own, *([] if job.calibration is None else [job.calibration])]
+
+
+def named_files(settings: RecordingSettings) -> list[str]:
+    """What the sections of a recording name as files."""
+    parts: list[Any] = [settings.reference, *(section for _, _, section in settings.streams)]
+    parts += [getattr(part, "lens", None) for part in parts]
+    return [name for part in parts for key in FILE_KEYS if (name := getattr(part, key, None))]
+
+
+def _matching(folder: Path, name: str) -> list[Path]:
+    path = folder / name
+    if path.is_dir():
+        return sorted(one for one in path.iterdir() if one.is_file())
+    if any(sign in name for sign in "*?["):
+        return sorted(folder.glob(name))
+    return [path]
+
+
+def key_of(job: Job) -> str:
+    """A hash of what the result follows from: the files' contents, what is chosen, and the version."""
+    found = hashlib.sha256(f"{__version__}\n".encode())
+    chosen = {key: value for key, value in asdict(job).items() if key not in ("name", "path", "second", "calibration")}
+    found.update(repr(sorted(chosen.items(), key=lambda one: one[0])).encode())
+    if job.url:
+        found.update("\n".join(parts_of(job.url)).encode())
+        return found.hexdigest()
+    for path in files_of(job):
+        found.update(f"\n{path.name}\n".encode())
+        if path.is_file():
+            with path.open("rb") as file:
+                found.update(hashlib.file_digest(file, "sha256").digest())
+    return found.hexdigest()

@@ -1,0 +1,75 @@
+"""The summary of a campaign, one row a recording, as CSV, Parquet and a page."""
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from midspan.scale.work import Outcome
+from midspan.writing import write_whole
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COLUMNS = ("recording", "exit_code", "rows", "rmse_mm", "warnings", "seconds", "message")
+STYLE = """
+:root { color-scheme: light dark }
+body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem; padding: 0 1rem }
+div { overflow-x: auto }
+table { border-collapse: collapse; width: 100% }
+th, td { border-bottom: 1px solid #8886; padding: .3rem .6rem; text-align: left; vertical-align: top }
+td.n { text-align: right; font-variant-numeric: tabular-nums }
+tr.bad td:first-child { border-left: 4px solid #c33 }
+"""
+
+
+def frame_of(outcomes: Sequence[Outcome]) -> "pd.DataFrame":
+    """One row a recording; warnings as codes with their numbers, `exposure 1; tilt 2`."""
+    import pandas as pd
+
+    rows = [
+        (
+            one.recording,
+            one.exit_code,
+            one.rows,
+            one.rmse_mm,
+            "; ".join(f"{code} {count}" for code, count in one.warnings.items()),
+            round(one.seconds, 3),
+            one.message,
+        )
+        for one in outcomes
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"rmse_mm": "float64"})
+
+
+def write_summary(output: Path, outcomes: Sequence[Outcome]) -> None:
+    """Write summary.csv, summary.parquet and summary.html to a folder."""
+    import io
+
+    frame = frame_of(outcomes)
+    write_whole(output / "summary.csv", frame.to_csv(index=False).encode())
+    buffer = io.BytesIO()
+    frame.to_parquet(buffer, index=False)
+    write_whole(output / "summary.parquet", buffer.getvalue())
+    write_whole(output / "summary.html", _page(outcomes).encode())
+
+
+def _page(outcomes: Sequence[Outcome]) -> str:
+    failed = sum(one.exit_code != 0 for one in outcomes)
+    head = "".join(f"<th>{escape(name)}</th>" for name in COLUMNS)
+    body = "".join(_row(one) for one in sorted(outcomes, key=lambda one: (one.exit_code == 0, one.recording)))
+    text = f"{len(outcomes)} recordings, {failed} of them failed or refused; these stand first."
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>Campaign</title><style>{STYLE}</style><h1>Campaign</h1><p>{text}</p>"
+        f"<div><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></html>"
+    )
+
+
+def _row(one: Outcome) -> str:
+    rmse = "" if one.rmse_mm is None else f"{one.rmse_mm:.4g}"
+    codes = "; ".join(f"{code} {count}" for code, count in one.warnings.items())
+    numbers = (str(one.exit_code), str(one.rows), rmse)
+    cells = [f"<td>{escape(one.recording)}</td>", *(f'<td class="n">{cell}</td>' for cell in numbers)]
+    cells += [f"<td>{escape(codes)}</td>", f'<td class="n">{one.seconds:.1f}</td>', f"<td>{escape(one.message)}</td>"]
+    return f'<tr class="{"bad" if one.exit_code else "good"}">{"".join(cells)}</tr>'
