@@ -83,7 +83,8 @@ def fit_radar(
     targets, offset = _chosen(found, most_targets, target_range_m)
     seen = [series_of(frames, item.target, info, samples) for item in targets if item.used]
     targets, moving = judged(targets, seen, whole.time_ns / NANOSECONDS + offset.value_s, samples, prepared.lines)
-    series = series_of(frames, best := next(item.target for item in targets if item.used), info, samples)
+    best = next(item.target for item in targets if item.used)
+    moved = series = series_of(frames, best, info, samples)
     # A second way to clock offset, factor and noise levels of the best target.
     search = search_offset(radar_pair(prepared, whole, series, (origin, max_offset)), max_offset)
     _refuse_ambiguity(search, max_offset)
@@ -95,6 +96,7 @@ def fit_radar(
         gain = best.conversion_factor * search.fit.ratio
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
+        moved = series_of(frames, best, info, samples)
     targets, contradicted = _contradicted(targets, search, moving, _stated(series))
     calibration = RadarCalibration(
         targets=targets,
@@ -117,7 +119,7 @@ def fit_radar(
         misfit=coloured,
         slope=response.slope,
         direction=own.direction,
-        moved=_moved(whole, series, origin, offset),
+        moved=_moved(whole, moved, origin, offset),
     )
 
 
