@@ -26,7 +26,7 @@ from midspan.calibration.camera.view import SeenTarget, View, camera_pair, filte
 from midspan.calibration.common_offset import Fitted
 from midspan.calibration.frequency_response import USUAL_FOCAL_PX
 from midspan.calibration.frequency_shapes import Kind
-from midspan.calibration.scale import MIN_GAIN, REFUSED_ABOVE, ScaleCalibration
+from midspan.calibration.scale import MIN_GAIN, UNEXPLAINED_SHARE, ScaleCalibration
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
@@ -274,7 +274,7 @@ def _refuse_sway(seen: Seen, pair: tuple[int, int], found: ScaleCalibration) -> 
     if found.own is None or found.own.beyond_readings:
         return
     sway_m = found.own.std * abs(found.scale.value_m_per_px)
-    most_m = REFUSED_ABOVE * float(np.std(seen.moved_m))
+    most_m = UNEXPLAINED_SHARE * float(np.std(seen.moved_m))
     if sway_m <= most_m:
         return
     at_hz = f" at {rounded(found.own.hertz)} Hz" if found.own.sways else ""
@@ -284,7 +284,7 @@ def _refuse_sway(seen: Seen, pair: tuple[int, int], found: ScaleCalibration) -> 
     raise UntrustedError(
         f"The camera tilts, and its targets {one} and {other} move against each other by {rounded(1e3 * sway_m)} mm "
         f"rms{at_hz}, which neither a tilt nor the accelerometer shows: one of them moves on its own or the camera "
-        f"rolls{errs}. At most {rounded(1e3 * most_m)} mm, {100 * REFUSED_ABOVE:g} % of the motion, is accepted. "
+        f"rolls{errs}. At most {rounded(1e3 * most_m)} mm, {100 * UNEXPLAINED_SHARE:g} % of the motion, is accepted. "
         f"{remedy} the one that moves."
     )
 
