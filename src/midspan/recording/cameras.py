@@ -10,7 +10,7 @@ from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.geometry import FOCAL_STD
 from midspan.calibration.camera.gyroscope import GyroscopeFit, StillError, fit_gyroscope
-from midspan.calibration.camera.tilt import apart
+from midspan.calibration.camera.tilt import apart, walk_of
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
 from midspan.calibration.sensors.auxiliary import MIN_ANGLES, turns_image
@@ -24,7 +24,7 @@ from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window, window_ends
 from midspan.recording.tracking.opening import IN_GREY, is_grey, open_tracking, where_it_sees
 from midspan.recording.tracking.posed import PosedTracking, posed
-from midspan.records import ScaleFactor, Source, TimeSeries, seconds
+from midspan.records import NANOSECONDS, ScaleFactor, Source, TimeSeries, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
 from midspan.signals.lines import Line
@@ -316,9 +316,11 @@ def _with_inclination(recording: Recording, part: CameraFit) -> CameraFit:
     if np.count_nonzero(np.isfinite(series.value)) < MIN_ANGLES:
         return part
     focal_px = float(lens.matrix["xy".index(part.calibration.direction)])
-    # The first frame's tilt is one as large as any.
-    size_px = max(focal_px * float(np.nanstd(series.value)), part.calibration.noise_std_px)
-    return replace(part, calibration=replace(part.calibration, tilt_std_px=size_px))
+    tilt_px, step_s = focal_px * series.value, float(np.median(np.diff(series.time_ns))) / NANOSECONDS
+    # What it does within a second is independent of what it did before; from second to second it goes on.
+    size_px = max(float(np.nanstd(np.diff(tilt_px))) / np.sqrt(2.0), part.calibration.noise_std_px)
+    walk = walk_of(tilt_px, step_s)
+    return replace(part, calibration=replace(part.calibration, tilt_std_px=size_px, tilt_walk_px2_s=walk))
 
 
 def _with_tilt(part: CameraFit, found: GyroscopeFit) -> CameraFit:

@@ -154,18 +154,18 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
         others,
         _left(seen, pair, found),
         _roll(view.axis, *(targets[k] for k in pair)),
-        _walk(first, other, step_s),
+        walk_of(0.5 * (first + other), step_s),
     )
 
 
-def _walk(one: Floats, other: Floats, step_s: float) -> float:
-    """Density (px²/s) of a random walk that what two targets (n,) have in common goes on by; step_s: between frames.
+def walk_of(tilt: Floats, step_s: float) -> float:
+    """Density (unit²/s) of a random walk that a tilt (n,) goes on by; step_s: between its values.
 
     By the steps between means over a second that one of twenty exceeds, as walkers come now and then.
     """
     second = max(round(1.0 / step_s), 1)
-    count = len(one) // second
-    blocks = 0.5 * (one + other)[: count * second].reshape(count, second)
+    count = len(tilt) // second
+    blocks = tilt[: count * second].reshape(count, second)
     seen = np.isfinite(blocks).any(axis=1)
     mean = np.full(count, np.nan)
     mean[seen] = np.nanmean(blocks[seen], axis=1)
