@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import midspan
-from midspan.errors import UsageError
+from midspan.errors import UntrustedError, UsageError
 from midspan.recording.inspect import inspect_recording
 from repeats import slow
 
@@ -161,7 +161,10 @@ def test_an_inclinometer_tells_the_slow_tilt(tmp_path):
 def test_an_inclinometer_and_a_lens_tell_a_slow_tilt_from_the_first_frame_on(tmp_path, seed):
     site = Site(seed=seed, length_s=60.0, nods=False)
     site.write(tmp_path, (3.0,), 0.004)
-    error, allowed = site.error(estimated(tmp_path, BOX, CAMERA, LENS, INCLINOMETER))
+    result = estimated(tmp_path, BOX, CAMERA, LENS, INCLINOMETER)
+    error, allowed = site.error(result)
+    assert any("inclinometer: sign and scale" in line for line in result.not_in_band)
+    assert "tilt-unverified" in {line.code for line in result.calibration.warnings}
     assert np.mean(np.abs(error) < allowed) > 0.93
     assert np.median(allowed) < 0.15
     assert np.std(error) < 0.015
@@ -171,6 +174,8 @@ def test_an_inclinometer_and_a_lens_tell_a_slow_tilt_from_the_first_frame_on(tmp
     ("spoilt", "said"),
     [
         (lambda time_s, rate: -rate, "sign"),
+        (lambda time_s, rate: np.interp(time_s - 0.2, time_s, rate), "clock"),
+        (lambda time_s, rate: np.radians(rate), "unit"),
         (lambda time_s, rate: np.full_like(rate, 1e-3), "equal|frozen"),
         (lambda time_s, rate: np.random.default_rng(1).normal(0.0, 1e-3, len(rate)), "gyroscope"),
     ],
@@ -185,6 +190,37 @@ def test_a_wrong_gyroscope_is_left_out_with_the_reason(tmp_path, spoilt, said):
     error, allowed = site.error(result)
     assert np.mean(np.abs(error) < allowed) > 0.9
     assert np.std(error) < 0.003
+
+
+def test_a_reversed_axis_of_the_camera_s_box_is_refused(tmp_path):
+    site = Site(seed=9, length_s=60.0)
+    site.write(tmp_path, (3.0,), 0.01)
+    with pytest.raises(UntrustedError, match=r"accelerometer\.value_y: its sign"):
+        estimated(tmp_path, with_gravity(BOX).replace('"ay"', '"-ay"'), CAMERA, GYROSCOPE)
+
+
+# 5 K of a sensor with 0.15 mg/K are 43 mdeg, 2 mm at 3 m.
+def test_gravity_of_a_box_that_warms_up_is_in_the_band(tmp_path):
+    site = Site(seed=10, length_s=60.0)
+    site.write(tmp_path, (3.0,), 0.01)
+    head, *rows = (tmp_path / "box.csv").read_text().splitlines()
+    values = np.array([row.split(",") for row in rows], dtype=float)
+    part = np.clip((values[:, :1] - 20.0) / 20.0, 0.0, 1.0)
+    values[:, 1:3] += 0.75e-3 * GRAVITY * part**2 * (3.0 - 2.0 * part)
+    write_table(tmp_path / "box.csv", dict(zip(head.split(","), values.T, strict=True)))
+    result = estimated(tmp_path, with_gravity(BOX), CAMERA, GYROSCOPE)
+    error, allowed = site.error(result)
+    assert np.mean(np.abs(error) < allowed) > 0.9
+    assert any("accelerometer along the view" in line for line in result.not_in_band)
+
+
+@pytest.mark.parametrize(("section", "said"), [('"-pitch"', "sign"), ('"pitch"\nunit = "rad"', "unit")])
+def test_an_angle_that_contradicts_the_image_is_refused(tmp_path, section, said):
+    site = Site(seed=11, length_s=60.0)
+    site.write(tmp_path, (1.0,), 0.004)
+    wrong = INCLINOMETER.replace('"pitch"\nunit = "deg"' if "unit" in section else '"pitch"', section)
+    with pytest.raises(UntrustedError, match=f"inclinometer.*{said}"):
+        estimated(tmp_path, BOX, CAMERA, LENS, wrong)
 
 
 @pytest.mark.parametrize(

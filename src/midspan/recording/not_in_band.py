@@ -22,6 +22,11 @@ SENSITIVITY = "accelerometer sensitivity"
 DELAY = "delay of the accelerometer's logger"
 TILT = "tilt not observed"
 SLOW_ERROR = "a slow error"
+# Of each sensor of a slow angle: its name, what drifts, and what else errs.
+ANGLES = {
+    "inclinometer": ("inclinometer", "a drift of its zero (warm-up)", ", and its delay"),
+    "gravity": ("accelerometer along the view", "a drift of its bias (warm-up)", ""),
+}
 # Farther from where it was, m, a structure is not, as the estimator takes it: a step as large has no limit that counts.
 NEAR_M = 1.0
 
@@ -32,6 +37,7 @@ def not_in_band(settings: RecordingSettings, calibration: Calibration, rows: Est
         *_sensitivity(settings, calibration, rows),
         *_logger_delay(settings, calibration, rows),
         *_tilt(settings, calibration),
+        *_angles(calibration),
         *_slow_errors(calibration),
     )
 
@@ -73,6 +79,19 @@ def _tilt(settings: RecordingSettings, calibration: Calibration) -> list[str]:
     return [
         f"{', '.join(names)}: {TILT}; 1 mdeg is {size} (tilt_std_mdeg includes it)" for size, names in found.items()
     ]
+
+
+def _angles(calibration: Calibration) -> list[str]:
+    """What an inclinometer or gravity may be off by; a tilt moves the displacement by as much as the image shows."""
+    found = []
+    for one in calibration.auxiliary:
+        if one.kind not in ANGLES:
+            continue
+        name, drift, more = ANGLES[one.kind]
+        declared = "" if one.verified else "sign and scale, which the motion does not verify, "
+        included = math.degrees(math.sqrt(60.0 * one.zero_walk)) * 1e3
+        found.append(f"{name}: {declared}{drift} beyond {rounded(included)} mdeg in a minute{more}")
+    return found
 
 
 def _slow_errors(calibration: Calibration) -> list[str]:
