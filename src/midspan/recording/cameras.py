@@ -28,6 +28,7 @@ from midspan.records import ScaleFactor, Source, TimeSeries, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
 from midspan.signals.lines import Line
+from midspan.sources.accelerometer.phone import holds_phone_log
 from midspan.sources.accelerometer.units import si_factor
 from midspan.sources.thermal.temperatures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
@@ -321,6 +322,9 @@ def _refuse_mirrored(recording: Recording, camera: CameraCalibration) -> None:
     scale, settings = camera.scale.value_m_per_px, recording.root.settings
     in_box = settings.gyroscope is not None or settings.inclinometer is not None
     if not in_box or scale < 0.0 or recording.axis not in recording.accelerometer.named_axes:
+        return
+    # Of a phone's log value_y may point up where value_z points against the view: to gravity both are the same.
+    if holds_phone_log(recording.path(recording.accelerometer.file, "accelerometer.file").parent):
         return
     axis, way = recording.axis, {"x": "right", "y": "down"}[recording.axis]
     raise UntrustedError(
