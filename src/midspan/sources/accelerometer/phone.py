@@ -149,7 +149,7 @@ def is_phone_log(path: object) -> bool:
 
 
 def holds_phone_log(path: Path) -> bool:
-    """The same, whether or not a recording is described beside the files."""
+    """The same, whether or not a recording is described together with the files."""
     try:
         if path.suffix.lower() == SUFFIX and path.is_file():
             return True
