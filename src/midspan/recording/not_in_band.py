@@ -23,6 +23,11 @@ DELAY = "delay of the accelerometer's logger"
 TILT = "tilt not observed"
 OWN_MOTION = "slow motion of one target alone"
 SLOW_ERROR = "a slow error"
+# Of each sensor of a slow angle: its name, what drifts, and what else errs.
+ANGLES = {
+    "inclinometer": ("inclinometer", "a drift of its zero (warm-up)", ", and its delay"),
+    "gravity": ("accelerometer along the view", "a drift of its bias (warm-up)", ""),
+}
 # Farther from where it was, m, a structure is not, as the estimator takes it: a step as large has no limit that counts.
 NEAR_M = 1.0
 
@@ -34,6 +39,7 @@ def not_in_band(settings: RecordingSettings, calibration: Calibration, rows: Est
         *_logger_delay(settings, calibration, rows),
         *_tilt(settings, calibration),
         *_targets(settings, calibration),
+        *_angles(calibration),
         *_slow_errors(calibration),
     )
 
@@ -92,6 +98,19 @@ def _targets(settings: RecordingSettings, calibration: Calibration) -> list[str]
             f"{name}: {OWN_MOTION} ({names}; settlement, warming, a loose mount), indistinguishable from a tilt: "
             f"0.1 px is {size} (a third target shows it)"
         )
+    return found
+
+
+def _angles(calibration: Calibration) -> list[str]:
+    """What an inclinometer or gravity may be off by; a tilt moves the displacement by as much as the image shows."""
+    found = []
+    for one in calibration.auxiliary:
+        if one.kind not in ANGLES:
+            continue
+        name, drift, more = ANGLES[one.kind]
+        declared = "" if one.verified else "sign and scale, which the motion does not verify, "
+        included = math.degrees(math.sqrt(60.0 * one.zero_walk)) * 1e3
+        found.append(f"{name}: {declared}{drift} beyond {rounded(included)} mdeg in a minute{more}")
     return found
 
 

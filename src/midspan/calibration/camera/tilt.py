@@ -164,14 +164,15 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
     )
 
 
-def walk_of(tilt_px: Floats, step_s: float) -> float:
-    """Density (px²/s) of a random walk that a tilt (n,), NaN where it is not seen, goes on by; step_s: between frames.
+def walk_of(tilt: Floats, step_s: float, noise: float = 0.0) -> float:
+    """Density (unit²/s) of a random walk that a tilt (n,) goes on by; step_s: between its values; noise: standard
+    deviation of one.
 
     By the steps between means over a second that one of twenty exceeds, as walkers come now and then.
     """
     second = max(round(1.0 / step_s), 1)
-    count = len(tilt_px) // second
-    blocks = tilt_px[: count * second].reshape(count, second)
+    count = len(tilt) // second
+    blocks = tilt[: count * second].reshape(count, second)
     seen = np.isfinite(blocks).any(axis=1)
     mean = np.full(count, np.nan)
     mean[seen] = np.nanmean(blocks[seen], axis=1)
@@ -179,7 +180,8 @@ def walk_of(tilt_px: Floats, step_s: float) -> float:
     for lag in (k for k in WALK_LAGS_S if k < count // 2):
         steps = np.abs(mean[lag:] - mean[:-lag])
         if np.isfinite(steps).any():
-            found.append(float(np.nanquantile(steps, 0.95) / CERTAIN) ** 2 / (lag * second * step_s))
+            moved = float(np.nanquantile(steps, 0.95) / CERTAIN) ** 2 - 2.0 * noise**2 / second
+            found.append(max(moved, 0.0) / (lag * second * step_s))
     return max(found, default=0.0)
 
 
