@@ -18,7 +18,7 @@ _CODES = {
     Severity.NOTE: (
         "clock-corrected", "depth-by-size", "exposure", "film-turned", "frames-skipped", "frames-untimed",
         "gain-estimated", "method-rates", "pose-unchecked", "pose-unseen", "slow-error-included", "stamps-corrected",
-        "tilt", "window-moved",
+        "tilt", "tilt-unverified", "window-moved",
     ),
     Severity.WARNING: (
         "acceleration-wrong", "accelerometer-line", "accelerometer-noisy", "accelerometer-resonates",

@@ -16,6 +16,10 @@ SITE = Site()
 NEAR, FAR = stacked(3.0, 10.0)
 ALL_THREE = stacked(3.0, 5.0, 10.0)
 DRIFTS, SWAYS = waves(0.03, 0.2, 0.6e-3, 9), waves(0.5, 0.9, 0.6e-3, 8)
+# Slower than an accelerometer of 1 mm/s² tells from rest: at 0.02 Hz its noise in a minute is a millimetre.
+SETTLES = waves(0.005, 0.02, 0.3e-3, 11)
+# Farther from the optical axis, a target is moved by up to 2 % more of the tilt, a little of it fast.
+OFF_AXIS = (Target(3.0, 0.0, -500.0), Target(10.0, 0.0, 500.0), Target(6.0, 170.0, 750.0), Target(4.0, -375.0, -625.0))
 # A box that swings about a target 3 m above it, near √(g / 3 m) / 2π = 0.288 Hz: neither picture nor acceleration show
 # it.
 SWINGS = waves(0.285, 0.291, 1e-3, 7)
@@ -52,6 +56,7 @@ def test_targets_at_one_distance_show_no_tilt_whatever_is_declared(distances_m, 
     result = checked(site, tmp_path, site.declared(*declared) if declared else "")
     assert result.calibration.camera.tilt_std_px == 0.0
     assert any("at another distance would show the tilt" in line for line in result.warnings)
+    assert not any("second target" in line for line in result.warnings)
 
 
 @pytest.mark.parametrize(
@@ -86,6 +91,48 @@ def test_one_of_three_that_moves_on_its_own_is_found_while_the_camera_tilts(movi
     assert any(line.code == "part-left-out" and f"Target {names[moving]} " in line for line in result.warnings)
     # Of 3 and 5 m a frame is good for 0.011 mm.
     assert std_mm(site, result) < 0.011
+
+
+def moving_alone(targets, number, own_m):
+    return SITE.but(
+        targets=tuple(replace(one, own_m=own_m) if k == number else one for k, one in enumerate(targets)),
+        rate_hz=20.0,
+        noise_px=0.004,
+    )
+
+
+@pytest.mark.parametrize(("moving", "size"), [(0, 1.0), *slow((1, 1.0), (2, 1.0), (0, 0.2))])
+def test_one_of_three_that_moves_more_slowly_than_the_accelerometer_tells_is_not_named(moving, size, tmp_path):
+    refused = checked(moving_alone(OFF_AXIS[:3], moving, times(SETTLES, size)), tmp_path)
+    assert "one of the targets 1, target2, target3 moves on its own; the accelerometer does not show which" in refused
+    assert "Add a fourth target" in refused
+
+
+@pytest.mark.parametrize("moving", [0, *slow(1, 2, 3)])
+def test_one_of_four_that_moves_slowly_is_the_one_without_which_the_others_agree(moving, tmp_path):
+    site = moving_alone(OFF_AXIS, moving, SETTLES)
+    result = checked(site, tmp_path)
+    names = ["1", "target2", "target3", "target4"]
+    assert used(result) == [name for k, name in enumerate(names) if k != moving]
+    # Of 6 and 4 m a frame is good for 0.014 mm.
+    assert std_mm(site, result) < 0.014
+
+
+def test_one_of_two_that_sways_by_more_than_a_fifth_of_the_motion_is_refused(tmp_path):
+    targets = (replace(NEAR, own_m=waves(0.35, 0.45, 0.6e-3, 5)), FAR)
+    refused = checked(SITE.but(targets=targets, rate_hz=20.0), tmp_path)
+    assert "move against each other" in refused
+    assert "Add a third target" in refused
+
+
+def test_slow_motion_of_one_of_two_targets_is_named_as_not_in_the_band(tmp_path):
+    two = midspan.estimate(SITE.write(tmp_path / "two"))
+    (line,) = (line for line in two.not_in_band if "slow motion of one target alone" in line)
+    # 5000 px · (1 / 3 m − 1 / 10 m) = 1167 px/m.
+    assert "1 or target2" in line
+    assert "0.1 px is 0.086 mm" in line
+    three = midspan.estimate(SITE.but(targets=ALL_THREE).write(tmp_path / "three"))
+    assert not any("slow motion of one target alone" in line for line in three.not_in_band)
 
 
 def test_one_of_two_that_moves_on_its_own_is_said_while_the_camera_tilts(tmp_path):

@@ -134,7 +134,8 @@ impl Hypotheses {
     fn split_by(&mut self, scene: &Scene, work: &mut Work, first: bool) {
         let rates = &scene.model.rates;
         let (most, odds) = if first { (MAX_FIRST, FIRST_ODDS * rates.odds) } else { (MAX_LATER, rates.odds) };
-        self.weigh(scene, work, first);
+        // What tells nothing of where the structure is, is not among those of which any may be an outlier.
+        self.weigh(scene, work, first && scene.channel.places);
         self.order.clear();
         self.order.extend(0..self.weights.len());
         let weights = &self.weights;

@@ -313,7 +313,7 @@ impl Filter {
                 let decision = decisions.get(j).copied().unwrap_or(Decision::GOOD);
                 take_decided(hyps.best_mut(), decision, &scene, back.as_deref_mut(), work);
                 if *judged > 0 {
-                    pass_first(hyps, judged);
+                    pass_first(hyps, judged, &scene);
                 }
             }
             Judge::Alone(alone) => take_alone(hyps.best_mut(), alone, &scene, (j, items[j]), work),
@@ -432,17 +432,18 @@ fn judge_open(
     let first = *judged > 0;
     hyps.split(scene, work, first);
     if first {
-        pass_first(hyps, judged);
+        pass_first(hyps, judged, scene);
     }
     false
 }
 
-/// Counts one of the first measurements: no step is asked for among them, as little is known of the start.
-fn pass_first(hyps: &mut Hypotheses, judged: &mut usize) {
+/// Counts one of the first measurements of where the structure is: no step is asked for among them, as little is known
+/// of the start.
+fn pass_first(hyps: &mut Hypotheses, judged: &mut usize, scene: &Scene) {
     for hyp in hyps.all_mut() {
         hyp.clear_tests();
     }
-    *judged -= 1;
+    *judged -= usize::from(scene.channel.places);
 }
 
 /// Takes a measurement of a sound channel as a good one.

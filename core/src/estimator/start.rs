@@ -292,9 +292,10 @@ impl Estimator {
         let (start_s, end_s) = (time_s[0], time_s[time_s.len() - 1]);
         self.take_due(end_s);
         let mut items = std::mem::take(&mut self.items);
-        // What else is measured tells nothing of where the filter starts.
-        items.retain(|one| one.channel().is_none_or(|c| self.settings.channels[c].places()));
-        let begin = Beginning::new(samples, &time_s, &items, &self.settings, &self.model);
+        // What else is measured tells nothing of where the filter starts, and the zero of a tilt from then on.
+        items.retain(|one| self.is_placed(one) || one.channel().is_none() || one.at_s >= start_s);
+        let placed: Vec<Timed> = items.iter().filter(|one| self.is_placed(one)).copied().collect();
+        let begin = Beginning::new(samples, &time_s, &placed, &self.settings, &self.model);
         if let Some(zero_ns) = self.settings.zero_ns {
             let datum = Timed { at_s: since(zero_ns, origin_ns).max(start_s), item: Item::Datum };
             if datum.at_s <= end_s {

@@ -106,8 +106,8 @@ class OwnError:
         """Natural frequency of an oscillator, Hz; 0: it is none."""
         return self.pair.slow[2] / (2.0 * np.pi)
 
-    def text(self, sensor: str, std_m: float) -> str:
-        """A sentence on it; std_m: its standard deviation, m."""
+    def text(self, sensor: str, std_m: float, remedy: str = "") -> str:
+        """A sentence on it; std_m: its standard deviation, m; remedy: what would show whose error it is."""
         if self.beyond_readings:
             return (
                 f"accelerometer: it drifts from the {sensor} by more than all motion that the {sensor} shows, as with "
@@ -122,7 +122,7 @@ class OwnError:
             return f"{sensor}: it {course}. The accelerometer does not show it and separates it from the displacement."
         return (
             f"{sensor}: it {course}, or the accelerometer has an error of this size. The data cannot show which; the "
-            "error band includes all of it. A second target or a gyroscope on the camera would show it."
+            f"error band includes all of it. {remedy}".rstrip()
         )
 
 

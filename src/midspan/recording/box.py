@@ -74,6 +74,9 @@ def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy,
         except UntrustedError as error:
             refused[view.sensor] = error
     for pair in combinations(recording.cameras, 2):
+        if any(view.sensor in found and found[view.sensor].parts[0].calibration.tilt_of for view in pair):
+            # Its tilt is shared with another one already.
+            continue
         both = _by_tilt(pair, found, progress)
         found |= both
         refused = {name: error for name, error in refused.items() if name not in both}

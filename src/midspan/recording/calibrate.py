@@ -15,9 +15,8 @@ from midspan.engine.tracking import CameraTracking
 from midspan.errors import MidspanError, UntrustedError
 from midspan.notices import Notice
 from midspan.progress import Progress, silent
-from midspan.recording.auxiliary import calibrate_auxiliary
+from midspan.recording.auxiliary import calibrate_auxiliary, require_focal_length, tilting
 from midspan.recording.box import calibrate_cameras, together, with_radar
-from midspan.recording.cameras import SeenBy
 from midspan.recording.kinds import ROWS
 from midspan.recording.other_channels import other_channels
 from midspan.recording.streams.recording import Recording, naming, opened
@@ -90,9 +89,14 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
 
 
 def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
+    require_focal_length(recording)
     seen = calibrate_cameras(recording, progress) if recording.cameras else ()
     others = [_fitted(view, progress) for view in recording.views if view.kind in ROWS]
     seen = with_radar(recording, seen, others)
+    auxiliary, left_out = calibrate_auxiliary(recording, seen[0].parts[0] if seen else None)
+    if seen:
+        main_axis, *second = seen[0].parts
+        seen = (replace(seen[0], parts=(tilting(recording, main_axis, auxiliary), *second)), *seen[1:])
     fits = [one.parts[0] for one in seen] + others
     warnings = [*recording.channel_warnings, *(line for one in seen for line in one.warnings)]
     warnings += [line for fit in fits[len(seen) :] for line in fit.warnings]
@@ -114,7 +118,6 @@ def _calibrated(recording: Recording, progress: Progress) -> tuple[Calibration, 
         for part in (part for part in one.parts if part.parts):
             total = float(np.hypot(part.calibration.relative_std, gain_std))
             warnings += uncertain_scale(one.tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
-    auxiliary, left_out = calibrate_auxiliary(recording, *_of_box(seen))
     calibration = replace(
         main,
         auxiliary=auxiliary,
@@ -132,11 +135,6 @@ def _doubts(recording: Recording, found: Calibration) -> tuple[Notice, ...]:
     if recording.settings.accelerometer is None:
         return implausible(recording.settings, found)
     return (*implausible(recording.settings, found, recording.acceleration.unit), *other_channels(recording))
-
-
-def _of_box(seen: Sequence[SeenBy]) -> tuple[Any, Any]:
-    """What was found of a gyroscope on the first camera's box, and the camera's lens."""
-    return (seen[0].parts[0].gyroscope, seen[0].parts[0].calibration.lens) if seen else (None, None)
 
 
 def _fitted(view: Recording, progress: Progress) -> SensorFit[Any, Any]:

@@ -13,7 +13,7 @@ from midspan.calibration.camera.gyroscope import GyroscopeFit, StillError, fit_g
 from midspan.calibration.camera.tilt import apart
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.calibration.lines import LinesFound, Shown, unconfirmed_lines
-from midspan.calibration.sensors.auxiliary import MIN_ANGLES, turns_image
+from midspan.calibration.sensors.auxiliary import turns_image
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.target_opening import ThermalTarget
 from midspan.engine.tracking import COMPRESSED, CameraTracking
@@ -28,10 +28,17 @@ from midspan.records import ScaleFactor, Source, TimeSeries, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.messages import in_words_of, renamed
 from midspan.signals.lines import Line
+from midspan.sources.accelerometer.phone import holds_phone_log
 from midspan.sources.accelerometer.units import si_factor
 from midspan.sources.thermal.temperatures import AGC_NOTE
 from midspan.thermal.temperature_range import DIVISIONS
 from midspan.vision.region_choice import Judge
+
+# Of a camera that may nod as the structure vibrates.
+SLOW_ANGLE = (
+    "[inclinometer] takes off the slow tilt alone. A camera that nods with the structure needs [gyroscope], or a "
+    "second target at another distance."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,9 +228,11 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
         parts = parts or fit_camera(views, seen, reported, second, without_tilt)
     except UntrustedError as error:
         # What a gyroscope would have taken off may be the reason.
-        error.more = " ".join((error.more, *said)).strip()
+        slow = () if recording.root.settings.inclinometer is None or turns else (SLOW_ANGLE,)
+        error.more = " ".join((error.more, *said, *slow)).strip()
         raise
-    main = _with_inclination(recording, parts[0]) if found is None else _with_tilt(parts[0], found)
+    _refuse_mirrored(recording, parts[0].calibration)
+    main = parts[0] if found is None else _with_tilt(parts[0], found)
     parts = (replace(main, warnings=(*said, *main.warnings)), *parts[1:])
     tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
     return parts
@@ -274,17 +283,21 @@ def _gyroscope_fit(
     return found, tuple(line for line in found.notices if line.code != "tilt" or not parts)
 
 
-def _with_inclination(recording: Recording, part: CameraFit) -> CameraFit:
-    """The calibration with the size of the tilt that an inclinometer measures, where a lens tells what it moves."""
-    series, lens = recording.auxiliary.get("inclinometer"), part.calibration.lens
-    if series is None or lens is None or part.calibration.tilt_std_px > 0.0:
-        return part
-    if np.count_nonzero(np.isfinite(series.value)) < MIN_ANGLES:
-        return part
-    focal_px = float(lens.matrix["xy".index(part.calibration.direction)])
-    # The first frame's tilt is one as large as any.
-    size_px = max(focal_px * float(np.nanstd(series.value)), part.calibration.noise_std_px)
-    return replace(part, calibration=replace(part.calibration, tilt_std_px=size_px))
+def _refuse_mirrored(recording: Recording, camera: CameraCalibration) -> None:
+    """UntrustedError where the image moves with an axis of the camera's own box, not against it."""
+    scale, settings = camera.scale.value_m_per_px, recording.root.settings
+    in_box = settings.gyroscope is not None or settings.inclinometer is not None
+    if not in_box or scale < 0.0 or recording.axis not in recording.accelerometer.named_axes:
+        return
+    # Of a phone's log value_y may point up where value_z points against the view: to gravity both are the same.
+    if holds_phone_log(recording.path(recording.accelerometer.file, "accelerometer.file").parent):
+        return
+    axis, way = recording.axis, {"x": "right", "y": "down"}[recording.axis]
+    raise UntrustedError(
+        f"accelerometer.value_{axis}: its sign is wrong ({1e3 * scale:.4g} mm/px). It is along the image's {axis} axis "
+        f"({way} +) and reads specific force, +1 g along an axis that points up; in one box with the camera the image "
+        f'moves against it. Change the sign: value_{axis} = "-NAME".'
+    )
 
 
 def _with_tilt(part: CameraFit, found: GyroscopeFit) -> CameraFit:

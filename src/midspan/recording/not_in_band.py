@@ -21,7 +21,13 @@ from midspan.settings.stored.calibration import Calibration
 SENSITIVITY = "accelerometer sensitivity"
 DELAY = "delay of the accelerometer's logger"
 TILT = "tilt not observed"
+OWN_MOTION = "slow motion of one target alone"
 SLOW_ERROR = "a slow error"
+# Of each sensor of a slow angle: its name, what drifts, and what else errs.
+ANGLES = {
+    "inclinometer": ("inclinometer", "a drift of its zero (warm-up)", ", and its delay"),
+    "gravity": ("accelerometer along the view", "a drift of its bias (warm-up)", ""),
+}
 # Farther from where it was, m, a structure is not, as the estimator takes it: a step as large has no limit that counts.
 NEAR_M = 1.0
 
@@ -32,6 +38,8 @@ def not_in_band(settings: RecordingSettings, calibration: Calibration, rows: Est
         *_sensitivity(settings, calibration, rows),
         *_logger_delay(settings, calibration, rows),
         *_tilt(settings, calibration),
+        *_targets(settings, calibration),
+        *_angles(calibration),
         *_slow_errors(calibration),
     )
 
@@ -73,6 +81,37 @@ def _tilt(settings: RecordingSettings, calibration: Calibration) -> list[str]:
     return [
         f"{', '.join(names)}: {TILT}; 1 mdeg is {size} (tilt_std_mdeg includes it)" for size, names in found.items()
     ]
+
+
+def _targets(settings: RecordingSettings, calibration: Calibration) -> list[str]:
+    # Two targets cannot tell a slow motion of one from a tilt; a third or another sensor of the tilt contradicts.
+    found = list[str]()
+    if settings.gyroscope is not None or settings.inclinometer is not None:
+        return found
+    for name, _, one in calibration.sensors:
+        if not isinstance(one, CameraCalibration) or one.tilt_std_px == 0.0 or len(one.used) != 2:
+            continue
+        per_m = [1.0 / mapping.scale_m_per_px for mapping in one.mappings()]
+        size = _mm(0.1 / abs(per_m[0] - per_m[1]))
+        names = " or ".join(target.name for target in one.used)
+        found.append(
+            f"{name}: {OWN_MOTION} ({names}; settlement, warming, a loose mount), indistinguishable from a tilt: "
+            f"0.1 px is {size} (a third target shows it)"
+        )
+    return found
+
+
+def _angles(calibration: Calibration) -> list[str]:
+    """What an inclinometer or gravity may be off by; a tilt moves the displacement by as much as the image shows."""
+    found = []
+    for one in calibration.auxiliary:
+        if one.kind not in ANGLES:
+            continue
+        name, drift, more = ANGLES[one.kind]
+        declared = "" if one.verified else "sign and scale, which the motion does not verify, "
+        included = math.degrees(math.sqrt(60.0 * one.zero_walk)) * 1e3
+        found.append(f"{name}: {declared}{drift} beyond {rounded(included)} mdeg in a minute{more}")
+    return found
 
 
 def _slow_errors(calibration: Calibration) -> list[str]:

@@ -64,7 +64,7 @@ class AccelerometerSettings(ChannelSettings):
         description="column along the image's x axis (right), instead of value; each reads +1 g where it points up",
     )
     value_y: Name | None = Field(None, description="column along the image's y axis (down), instead of value")
-    value_z: Name | None = Field(None, description="column along the view, against it where value_y points up")
+    value_z: Name | None = Field(None, description="column along the view; reversed with value_y, where that points up")
     axis: Literal["x", "y", "z"] | None = Field(
         None,
         description="with value_x, value_y, value_z: axis of the result's main columns; default: camera.direction",

@@ -23,17 +23,26 @@ class Attitude:
     """An angle (n,), rad, at time_ns (n,).
 
     own_std: standard deviation of a value's noise by the acceleration's; share_of_rate: what that of a rate (rad/s)
-    makes besides, rad.
+    makes besides, rad; turned (k, 2): what both turn by from one window to the next, gravity and the gyroscope, rad,
+    without their mean; lapse_s: the square root of the time that a rate's noise adds up over there.
     """
 
     time_ns: Nanoseconds
     value: Floats
     own_std: float
     share_of_rate: float
+    turned: Floats
+    lapse_s: float
 
     def noise_std(self, rate_std: float) -> float:
         """Of a value, rad; rate_std: white noise of the rotation rate, rad/s."""
         return float(np.hypot(self.own_std, self.share_of_rate * rate_std))
+
+    def agreement(self, rate_std: float) -> float:
+        """Logarithm of how much likelier both turn the same way than against each other; rate_std as above."""
+        one, other = self.turned.T
+        left = min(float(np.mean((other - one) ** 2)), float(np.mean((other + one) ** 2)))
+        return 2.0 * float(one @ other) / max((self.lapse_s * rate_std) ** 2, left, 1e-300)
 
 
 def attitude(time_ns: Nanoseconds, leaning: Floats, rate: Floats, gravity_m_s2: float) -> Attitude | None:
@@ -49,7 +58,8 @@ def attitude(time_ns: Nanoseconds, leaning: Floats, rate: Floats, gravity_m_s2: 
     if len(time_ns) < len(window) + every:
         return None
     angle = step_s * np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))))
-    slow = np.convolve(leaning / gravity_m_s2 - angle, window, mode="valid")
+    both = np.column_stack([np.convolve(one, window, mode="valid") for one in (leaning / gravity_m_s2, angle)])
+    slow, turned = both[:, 0] - both[:, 1], np.diff(both[:: len(window)], axis=0)
     inner = slice(half, len(time_ns) - half)
     places = np.arange(0, len(slow), every)
     # What of the rate's noise is in the angle less its windowed course: the window's step response, less a step.
@@ -58,4 +68,5 @@ def attitude(time_ns: Nanoseconds, leaning: Floats, rate: Floats, gravity_m_s2: 
     vibration = np.diff(leaning, 2) / np.sqrt(6.0) / gravity_m_s2
     of_gravity = float(np.std(vibration) * np.sqrt(np.sum(window**2)))
     value = slow + angle[inner]
-    return Attitude(time_ns[inner][places], value[places], of_gravity, of_rate)
+    turned = turned - np.mean(turned, axis=0) if len(turned) else np.zeros((1, 2))
+    return Attitude(time_ns[inner][places], value[places], of_gravity, of_rate, turned, step_s * len(window) ** 0.5)

@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan._core import TEMPLATE_NOISE
 from midspan.calibration.agreement import Misfit, misfit
-from midspan.calibration.camera.disagreement import agreed, certainly_tilts, m_per_px
+from midspan.calibration.camera.disagreement import SAME_DISTANCE, agreed, certainly_tilts, m_per_px
 from midspan.calibration.camera.tilt import tilt_of
 from midspan.calibration.camera.view import SeenTarget, View, printed_along, scale_on_any_clock
 from midspan.calibration.camera.zoom import without_zoom
@@ -356,7 +356,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted, 
     coloured = misfit(search.pair, search.fit)
     warnings += _zero_warnings(start_m, drifts=start.drifts)
     if not codec_own:
-        warnings += _apart_warnings(found, coloured, slow_m, apart_m, tilt_seen=fit.tilt is not None)
+        warnings += _apart_warnings(found, coloured, (slow_m, apart_m), camera.targets, tilt_seen=fit.tilt is not None)
     parts = {
         "motion": float(np.sqrt(found.scale.variance)) / abs(found.scale.value_m_per_px),
         "compression": best.codec_std(camera.direction),
@@ -419,11 +419,20 @@ def doubt_exposures(notices: Sequence[Notice], compression_std: float) -> list[N
 
 
 def _apart_warnings(
-    found: ScaleCalibration, coloured: Misfit, slow_m: float, apart_m: float, *, tilt_seen: bool
+    found: ScaleCalibration,
+    coloured: Misfit,
+    sizes_m: tuple[float, float],
+    targets: Sequence[TargetCalibration],
+    *,
+    tilt_seen: bool,
 ) -> list[Notice]:
-    """What camera and accelerometer differ by besides noise, in a sentence; tilt_seen: whether the targets show it."""
+    """What camera and accelerometer differ by besides noise, in a sentence; sizes_m: of a slow error, and of what is of
+    unknown cause; tilt_seen: whether the targets show it.
+    """
+    slow_m, apart_m = sizes_m
     if found.own is not None:
-        text = found.own.text("camera", slow_m)
+        second = "A second target or a gyroscope on the camera would show it." if len(targets) == 1 else ""
+        text = found.own.text("camera", slow_m, second)
         if tilt_seen:
             text = (
                 f"camera: its targets move against each other by {rounded(1e3 * slow_m)} mm rms, which neither a tilt "
@@ -431,15 +440,22 @@ def _apart_warnings(
             )
         if _tilts_unseen(found, tilt_seen=tilt_seen):
             text += (
-                f" It may tilt slowly as well: the error band includes {rounded(1e3 * SLOW_TILT * slow_m)} mm for "
-                "that. A second target at another distance would show the tilt."
+                f" It may tilt slowly as well: the error band includes {rounded(1e3 * SLOW_TILT * slow_m)} mm for that."
             )
+            if not _differ_in_distance(targets):
+                text += " A target at another distance would show the tilt."
         return [Notice("motion-not-shared", text)]
     if apart_m > 0.0:
         return [Notice("motion-not-shared", _contradiction_text(apart_m, found.response))]
     causes = "a vibrating mast or bracket, autofocus, hot air, or a rotating target"
     search = found.search
     return coloured.text("camera") or strange_noise(search.pair, search.fit, "camera", causes)
+
+
+def _differ_in_distance(targets: Sequence[TargetCalibration]) -> bool:
+    """Whether scale factors are those of targets at several distances."""
+    scales = [m_per_px(target) for target in targets if target.scale is not None]
+    return min(scales) < (1.0 - SAME_DISTANCE) * max(scales)
 
 
 def _zero_warnings(start_m: float, *, drifts: bool) -> list[Notice]:

@@ -65,6 +65,17 @@ class Difference:
         """What the course would hold of a series (n,)."""
         return _shaped(value, self.gains)
 
+    def octaves(self) -> list["Difference"]:
+        """The parts of the excess in each octave that has one."""
+        # Bands of cosines begin at 1, 3, 7, 15 …
+        order = np.floor(np.log2(np.arange(len(self.gains)) + 1.0))
+        parts = []
+        for octave in np.unique(order[self.gains > 0.0]):
+            here = order == octave
+            course = _shaped(self.course_m, here.astype(np.float64))
+            parts.append(Difference(self.noise_m, float(np.std(course)), course, np.where(here, self.gains, 0.0)))
+        return parts
+
 
 def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float) -> Difference:
     """Compare two targets by the difference of their displacements.

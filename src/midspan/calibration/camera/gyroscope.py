@@ -10,7 +10,14 @@ import numpy as np
 
 from midspan.calibration.agreement import clearly_better
 from midspan.calibration.camera.calibrate import CameraFit
-from midspan.calibration.camera.rotation import CONTRADICT_SHARE, CONTRADICT_STD, MAX_FOCAL_STD, Compared, Settled
+from midspan.calibration.camera.rotation import (
+    CONTRADICT_SHARE,
+    CONTRADICT_STD,
+    MAX_FOCAL_STD,
+    MAX_LATE_S,
+    Compared,
+    Settled,
+)
 from midspan.calibration.camera.turning import SEEN_HZ, Turning, turning_of
 from midspan.calibration.camera.view import SeenTarget, View
 from midspan.calibration.camera.zoom import without_zoom
@@ -26,8 +33,12 @@ BIAS_STD = float(np.radians(0.3))
 BIAS_WALK = float(np.radians(3.0 / 3600.0)) ** 2 / 3600.0
 # Focal lengths of cameras, in widths of the picture: fields of view of 127° and 0.6°.
 FOCAL_WIDTHS = (0.25, 100.0)
+# The same in px, where a table of a track says nothing of the picture.
+FOCAL_PX = (300.0, 200_000.0)
 # What is right to this many standard deviations is certain.
 CERTAIN = 3.0
+# Clocks of one logger are as close, s.
+SAME_CLOCK_S = 0.01
 # A tilt is no less than this share of the gyroscope's noise.
 MIN_TILT = 0.1
 
@@ -167,8 +178,9 @@ def _usual(settled: Sequence[Settled], lens: tuple[float, float] | None) -> tupl
 def _focal(settled: Sequence[Settled], lens: tuple[float, float] | None, width: int) -> tuple[float, float]:
     """The focal length of all targets and the lens, and its standard deviation, px."""
     known = [at for at in settled if at.joint.shows]
-    value, std = np.nan, np.inf
+    value, std, late_s = np.nan, np.inf, 0.0
     if known:
+        late_s = max((at.place.offset_s - at.place.turned_s for at in known), key=abs)
         weight = np.array([1.0 / at.variance for at in known])
         weight /= np.sum(weight)
         # What the gyroscope errs by is in all of them.
@@ -177,17 +189,18 @@ def _focal(settled: Sequence[Settled], lens: tuple[float, float] | None, width: 
     certain = std <= MAX_FOCAL_STD * abs(value)
     if lens is None:
         if known:
-            _refuse_focal(value, std, width)
+            _refuse_focal(value, std, width, late_s)
         if not certain:
             raise StillError(
                 "gyroscope: the camera rotates too little, apart from what goes with the displacement, to show the "
-                "focal length. Give camera.lens, or choose a calibration.window_s with more rotation."
+                "focal length. Give camera.lens, or choose a calibration.window_s with more rotation. If it does "
+                "rotate, the axes are permuted: image axis y shows the rotation about x, and x that about y."
             )
         _refuse_width(value, std, width)
         return value, std
     apart = abs(value - lens[0])
     if apart > CONTRADICT_STD * np.hypot(std, lens[1]) and apart > CONTRADICT_SHARE * lens[0]:
-        _refuse_focal(value, std, lens[0])
+        _refuse_focal(value, std, lens[0], late_s)
         raise UntrustedError(
             f"gyroscope: by it the focal length is {value:.4g} ± {std:.2g} px, by camera.lens {lens[0]:.4g} ± "
             f"{lens[1]:.2g} px. Check gyroscope.unit (deg/s and rad/s differ by a factor of 57.3), its sensitivity and "
@@ -199,8 +212,17 @@ def _focal(settled: Sequence[Settled], lens: tuple[float, float] | None, width: 
     return float(weight @ [value, lens[0]] / np.sum(weight)), float(np.sum(weight) ** -0.5)
 
 
-def _refuse_focal(value: float, std: float, usual: float) -> None:
-    """UntrustedError for a focal length that is negative, or none while a usual one would show."""
+def _refuse_focal(value: float, std: float, usual: float, late_s: float) -> None:
+    """UntrustedError for a focal length that is negative, or none while a usual one would show.
+
+    late_s: what would be added to the gyroscope's stamps; a tone half a period late has the opposite sign.
+    """
+    if value < -CERTAIN * std and abs(late_s) > SAME_CLOCK_S:
+        raise UntrustedError(
+            f"gyroscope: its rotation has the wrong sign ({value:.4g} ± {std:.2g} px) and is {1e3 * late_s:+.0f} ms "
+            f"off: its clock differs by more than {MAX_LATE_S:g} s, or its channel is reversed. Check its time stamps "
+            "and gyroscope.start_s first, then the sign; its axes are the camera's (x right, y down, z along the view)."
+        )
     if value < -CERTAIN * std:
         raise UntrustedError(
             f"gyroscope: its rotation has the wrong sign, the focal length would be {value:.4g} ± {std:.2g} px. Its "
@@ -215,13 +237,13 @@ def _refuse_focal(value: float, std: float, usual: float) -> None:
 
 
 def _refuse_width(value: float, std: float, width: int) -> None:
-    """UntrustedError for a focal length that no camera with pictures of this width (px) has."""
-    low, high = (share * width for share in FOCAL_WIDTHS)
-    # Of a table of a track the width is not known.
-    if width > 1 and not low < value < high:
+    """UntrustedError for a focal length that no camera with pictures of this width (px) has; up to 1: not known."""
+    low, high = (share * width for share in FOCAL_WIDTHS) if width > 1 else FOCAL_PX
+    if not low < value < high:
+        picture = f" in an image {width} px wide" if width > 1 else ""
         raise UntrustedError(
-            f"gyroscope: by it the focal length is {value:.3g} ± {std:.2g} px in an image {width} px wide, which is "
-            "implausible. Check gyroscope.unit: deg/s and rad/s differ by a factor of 57.3."
+            f"gyroscope: by it the focal length is {value:.3g} ± {rounded(std)} px{picture}, which is implausible. "
+            "Check gyroscope.unit: deg/s and rad/s differ by a factor of 57.3, deg/s and mdeg/s by 1000."
         )
 
 

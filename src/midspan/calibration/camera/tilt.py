@@ -14,18 +14,19 @@ Hartley and A. Zisserman, Multiple View Geometry, 2004, section 6.1, doi 10.1017
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 
-from midspan.calibration.camera.bystanders import Bystanders, Seen, judged
+from midspan.calibration.camera.bystanders import Bystanders, Seen, judged, moves_alone, moves_text
 from midspan.calibration.camera.difference import Course, share_in
 from midspan.calibration.camera.disagreement import SAME_DISTANCE
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, filter_settings, scale_of
 from midspan.calibration.common_offset import Fitted
 from midspan.calibration.frequency_response import USUAL_FOCAL_PX
 from midspan.calibration.frequency_shapes import Kind
-from midspan.calibration.scale import MIN_GAIN, ScaleCalibration
+from midspan.calibration.scale import MIN_GAIN, UNEXPLAINED_SHARE, ScaleCalibration
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
@@ -120,10 +121,13 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
 
     fit: of each target alone; is_certain: whether no other cause is left, see `certainly_tilts`.
     """
-    sharpest = _sharpest(view, targets)
+    may_roll = _may_roll(view.axis, targets)
+    alone = None if may_roll else _moves_alone(view, targets)
+    usable = [k for k in range(len(targets)) if k != alone]
+    sharpest = _sharpest(view, targets, usable)
     if sharpest is None:
         return None
-    pair, found, errors = sharpest
+    pair, found = sharpest
     count = len(found.search.fit.whitened.variance)
     single = [count * np.log(_error_m(one) / _error_m(found)) for one in fit.used]
     # Gravity in the acceleration goes with nothing else that two targets have in common.
@@ -133,14 +137,16 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
         if not certain:
             return None
     seen = _compared(view, targets, pair, found)
+    _refuse_sway(seen, pair, found)
     left, ratios = seen.left_px, seen.ratios
     shared = float(np.nanmean(left[pair[0]] * left[pair[1]]))
     if not shared > 0.0:
         return None
-    gains = {two: count * float(np.log(error / errors[pair])) for two, error in errors.items()}
     # With a lens and distances the camera's pose takes a roll apart, which is no motion of a target.
-    alone = ("",) * len(targets)
-    others = Bystanders(alone) if _may_roll(view.axis, targets) else judged(seen, pair, gains)
+    bystanders = [] if may_roll else [k for k in usable if k not in pair]
+    others = judged(seen, pair, bystanders, partial(share_in, found.search.pair, found.search.fit))
+    if alone is not None:
+        others = others.without(alone, moves_text(targets[alone].name))
     noise_px = [_noise_px(target, view.axis, found.variance_factor) for target in targets]
     first, other = (left[k] for k in pair)
     step_s = float(np.median(np.diff(targets[0].rows.time_ns))) / NANOSECONDS
@@ -158,14 +164,15 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
     )
 
 
-def walk_of(tilt_px: Floats, step_s: float) -> float:
-    """Density (px²/s) of a random walk that a tilt (n,), NaN where it is not seen, goes on by; step_s: between frames.
+def walk_of(tilt: Floats, step_s: float, noise: float = 0.0) -> float:
+    """Density (unit²/s) of a random walk that a tilt (n,) goes on by; step_s: between its values; noise: standard
+    deviation of one.
 
     By the steps between means over a second that one of twenty exceeds, as walkers come now and then.
     """
     second = max(round(1.0 / step_s), 1)
-    count = len(tilt_px) // second
-    blocks = tilt_px[: count * second].reshape(count, second)
+    count = len(tilt) // second
+    blocks = tilt[: count * second].reshape(count, second)
     seen = np.isfinite(blocks).any(axis=1)
     mean = np.full(count, np.nan)
     mean[seen] = np.nanmean(blocks[seen], axis=1)
@@ -173,7 +180,8 @@ def walk_of(tilt_px: Floats, step_s: float) -> float:
     for lag in (k for k in WALK_LAGS_S if k < count // 2):
         steps = np.abs(mean[lag:] - mean[:-lag])
         if np.isfinite(steps).any():
-            found.append(float(np.nanquantile(steps, 0.95) / CERTAIN) ** 2 / (lag * second * step_s))
+            moved = float(np.nanquantile(steps, 0.95) / CERTAIN) ** 2 - 2.0 * noise**2 / second
+            found.append(max(moved, 0.0) / (lag * second * step_s))
     return max(found, default=0.0)
 
 
@@ -223,27 +231,30 @@ def _error_m(found: ScaleCalibration) -> float:
     return float(abs(found.scale.value_m_per_px) * np.hypot(found.noise.std, own_px))
 
 
+def _moves_alone(view: View, targets: Sequence[SeenTarget]) -> int | None:
+    """The target that the others show to move, in the calibration window."""
+    time_ns = targets[0].rows.time_ns + view.late_ns
+    window = inside(time_ns, *view.window_ns)
+    rows = [target.rows.along(view.axis) for target in targets]
+    value, variance = (np.array([one[which][window] for one in rows]) for which in (0, 1))
+    return moves_alone(np.where(np.isfinite(variance), value, np.nan), variance)
+
+
 def _sharpest(
-    view: View, targets: Sequence[SeenTarget]
-) -> tuple[tuple[int, int], ScaleCalibration, dict[tuple[int, int], float]] | None:
-    """The two targets whose difference is the sharpest, its calibration, and for all twos by how many times their own
-    noise the difference is apart from the acceleration; infinite where it is refused.
-    """
+    view: View, targets: Sequence[SeenTarget], usable: Sequence[int]
+) -> tuple[tuple[int, int], ScaleCalibration] | None:
+    """The two of the usable targets whose difference is the sharpest, and its calibration."""
     found: dict[tuple[int, int], ScaleCalibration] = {}
-    errors = dict.fromkeys(combinations(range(len(targets)), 2), np.inf)
-    for i, k in errors:
+    for i, k in combinations(usable, 2):
         try:
             track, other = apart(targets[i].rows, targets[k].rows), targets[k].rows
-            one = scale_of(view, camera_pair(view, track, targets[i].blur_s, other=other))
+            found[i, k] = scale_of(view, camera_pair(view, track, targets[i].blur_s, other=other))
         except UntrustedError:
             continue
-        noise_px = np.hypot(_noise_px(targets[i], view.axis, 1.0), _noise_px(targets[k], view.axis, 1.0))
-        found[i, k] = one
-        errors[i, k] = _error_m(one) / float(noise_px * abs(one.scale.value_m_per_px))
     if not found:
         return None
     best = min(found, key=lambda two: _error_m(found[two]))
-    return best, found[best], errors
+    return best, found[best]
 
 
 def _left(seen: Seen, pair: tuple[int, int], found: ScaleCalibration, noise_px: Sequence[float]) -> float:
@@ -258,6 +269,26 @@ def _left(seen: Seen, pair: tuple[int, int], found: ScaleCalibration, noise_px: 
     course = Course(seen.time_s[known], tilt_px[known], lambda value: value, mean_px, 0.0)
     share = share_in(found.search.pair, found.search.fit, course)
     return 0.0 if share.allows(0.0) else abs(share.value)
+
+
+def _refuse_sway(seen: Seen, pair: tuple[int, int], found: ScaleCalibration) -> None:
+    """UntrustedError where two targets move against each other by too much of the motion: no tilt explains that."""
+    if found.own is None or found.own.beyond_readings:
+        return
+    sway_m = found.own.std * abs(found.scale.value_m_per_px)
+    most_m = UNEXPLAINED_SHARE * float(np.std(seen.moved_m))
+    if sway_m <= most_m:
+        return
+    at_hz = f" at {rounded(found.own.hertz)} Hz" if found.own.sways else ""
+    errs = "" if found.own.alone else ", or the accelerometer errs"
+    one, other = (seen.names[k] for k in pair)
+    remedy = "Add a third target, which shows" if len(seen.names) == 2 else "Remove from camera.target"
+    raise UntrustedError(
+        f"The camera tilts, and its targets {one} and {other} move against each other by {rounded(1e3 * sway_m)} mm "
+        f"rms{at_hz}, which neither a tilt nor the accelerometer shows: one of them moves on its own or the camera "
+        f"rolls{errs}. At most {rounded(1e3 * most_m)} mm, {100 * UNEXPLAINED_SHARE:g} % of the motion, is accepted. "
+        f"{remedy} the one that moves."
+    )
 
 
 def _compared(view: View, targets: Sequence[SeenTarget], pair: tuple[int, int], found: ScaleCalibration) -> Seen:

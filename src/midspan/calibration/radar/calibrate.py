@@ -83,7 +83,8 @@ def fit_radar(
     targets, offset = _chosen(found, most_targets, target_range_m)
     seen = [series_of(frames, item.target, info, samples) for item in targets if item.used]
     targets, moving = judged(targets, seen, whole.time_ns / NANOSECONDS + offset.value_s, samples, prepared.lines)
-    series = series_of(frames, best := next(item.target for item in targets if item.used), info, samples)
+    best = _best(targets)
+    moved = series = series_of(frames, best, info, samples)
     # A second way to clock offset, factor and noise levels of the best target.
     search = search_offset(radar_pair(prepared, whole, series, (origin, max_offset)), max_offset)
     _refuse_ambiguity(search, max_offset)
@@ -91,10 +92,9 @@ def fit_radar(
     kinds = [kind for kind in kinds_of(search.pair, exposure_declared=True) if kind is not Kind.LAG]
     search, response = with_frequency(search, search.pair, max_offset, kinds)
     if response.known:
-        # The acceleration alone, that gave the targets' factors, is off by as much in all.
-        gain = best.conversion_factor * search.fit.ratio
-        targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
-        best = next(item.target for item in targets if item.used)
+        targets = _without_gain(targets, best.conversion_factor * search.fit.ratio)
+        best = _best(targets)
+        moved = series_of(frames, best, info, samples)
     targets, contradicted = _contradicted(targets, search, moving, _stated(series))
     calibration = RadarCalibration(
         targets=targets,
@@ -106,19 +106,27 @@ def fit_radar(
         diagnostics=diagnostics_of(info.axis.range_m, whole, best),
     )
     coloured = misfit(search.pair, search.fit)
-    about = (*response.texts(search.fit.motion_hz), *_warnings(calibration), *coloured.text("radar"))
-    warnings = (*info.warnings, *window.reported, *hidden, *contradicted, *about)
+    reported = (*info.warnings, *window.reported, *hidden, *contradicted, *response.texts(search.fit.motion_hz))
     more = (np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std, own.relative_std)
     return RadarFit(
         calibration.without_gain(1.0, float(np.linalg.norm(more))),
         search.pair.input_noise(search.fit.input_density),
         bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance))),
-        warnings,
+        (*reported, *_warnings(calibration), *coloured.text("radar")),
         misfit=coloured,
         slope=response.slope,
         direction=own.direction,
-        moved=_moved(whole, series, origin, offset),
+        moved=_moved(whole, moved, origin, offset),
     )
+
+
+def _best(targets: Sequence[RadarTarget]) -> Target:
+    return next(item.target for item in targets if item.used)
+
+
+def _without_gain(targets: Sequence[RadarTarget], gain: float) -> tuple[RadarTarget, ...]:
+    """The targets with other factors: the acceleration alone, that gave them, is off by as much in all."""
+    return tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
 
 
 def _moved(whole: RadarFrames, series: TargetSeries, origin_ns: int, offset: TimeOffset) -> Displacement:

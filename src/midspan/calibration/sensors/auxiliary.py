@@ -27,6 +27,7 @@ class AuxiliaryCalibration:
     kind: its section. noise_std: per sample, in m/s, rad/s or rad; zero_std: standard deviation of its zero (a
     gyroscope's bias), infinite where that is unknown; zero_walk: density of the zero's random walk, unit²/s. focal_px,
     focal_std_px: focal length by which a rotation moves the image, px/rad, along the axis; 1 ± 0 for a velocity.
+    verified: whether the motion shows its sign and scale.
     """
 
     kind: str
@@ -36,6 +37,7 @@ class AuxiliaryCalibration:
     zero_walk: float = 0.0
     focal_px: float = 1.0
     focal_std_px: float = 0.0
+    verified: bool = True
 
     @property
     def measures(self) -> Quantity:

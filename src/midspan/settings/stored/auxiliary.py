@@ -22,6 +22,7 @@ class StoredAuxiliary(StoredSensor):
     zero_walk: Std = Field(0.0, description="density of the zero's random walk, unit²/s")
     focal_px: Ratio = Field(1.0, description="focal length of the camera, px/rad; of a velocity 1")
     focal_std_px: Std = Field(0.0, description="its standard deviation")
+    verified: bool = Field(True, description="whether the motion shows its sign and scale")
 
     @classmethod
     def tree(cls, record: Any) -> dict[str, Any]:

@@ -145,11 +145,15 @@ def is_phone_log(path: object) -> bool:
     """Whether this is the path of a zip, or of a folder with files by the names that the apps give them."""
     if not isinstance(path, str | Path):
         return False
-    path = Path(path)
+    return holds_phone_log(Path(path)) and not (Path(path) / "recording.toml").is_file()
+
+
+def holds_phone_log(path: Path) -> bool:
+    """The same, whether or not a recording is described together with the files."""
     try:
         if path.suffix.lower() == SUFFIX and path.is_file():
             return True
-        return path.is_dir() and not (path / "recording.toml").is_file() and any(map(SIGNS.search, _names(path)))
+        return path.is_dir() and any(map(SIGNS.search, _names(path)))
     except (OSError, ValueError):
         return False
 
