@@ -131,6 +131,7 @@ def test_every_key_has_one_short_sentence(model):
 def test_every_example_of_a_recording_or_a_site_is_valid(tmp_path, monkeypatch):
     import tomllib
 
+    from midspan.settings.campaign import CampaignSettings
     from midspan.settings.site import load_site
 
     whole = {"accelerometer": {"file": "a.csv"}, "camera": {"file": "c.mkv"}}
@@ -142,6 +143,9 @@ def test_every_example_of_a_recording_or_a_site_is_valid(tmp_path, monkeypatch):
         if "[[point]]" in code:
             (tmp_path / "SITE.toml").write_text(code)
             load_site(tmp_path / "SITE.toml")
+            continue
+        if "recordings =" in code:
+            validate(tomllib.loads(code), str(page), CampaignSettings)
             continue
         validate({**whole, **tomllib.loads(code)}, str(page))
 
