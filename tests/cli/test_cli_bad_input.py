@@ -165,7 +165,7 @@ CASES = {
     "the same picture": Bad(stack(lambda s: np.repeat(s[:1], len(s), axis=0)), (3, 4), ("camera",)),
     "stack of one image": Bad(stack(lambda s: s[0]), 3, ("camera.npy", "(96, 96)")),
     # results that could not be trusted
-    "the other axis": Bad(keys("camera", direction="x"), 4, ("recording.toml", "motion", "other image axis")),
+    "the other axis": Bad(keys("camera", direction="x"), 4, ("recording.toml", "motion", "camera.direction")),
     "a window of two seconds": Bad(keys("calibration", window_s=[5.0, 7.0]), 4, ("20", "window_s")),
     # where to write
     "suffix unknown": Bad(nothing, 2, ("out.xyz", ".csv", ".parquet"), ("-o", "out.xyz")),

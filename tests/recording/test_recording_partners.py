@@ -93,12 +93,16 @@ def test_a_calibration_of_two_cameras_read_back_gives_the_same_rows(tmp_path):
 
 
 @pytest.mark.parametrize("turn", [together(SUN, LEAN), *slow(SUN)])
-def test_two_cameras_whose_slow_tilt_nothing_compares_are_refused_with_what_to_do(turn, tmp_path):
-    two_cameras(tmp_path, turn)
-    with pytest.raises(midspan.UntrustedError) as refused:
-        midspan.estimate(tmp_path)
-    assert "the camera tilts" in str(refused.value) or "both tilt" in str(refused.value)
-    assert "let one camera see targets at both distances, add a [gyroscope]" in str(refused.value)
+def test_a_slow_tilt_that_nothing_compares_is_in_the_band_of_two_cameras_or_refused(turn, tmp_path):
+    site = two_cameras(tmp_path, turn)
+    try:
+        result = midspan.estimate(tmp_path)
+    except midspan.UntrustedError as refused:
+        said = [str(refused)]
+    else:
+        said = list(result.warnings)
+        assert scored(site, result)[2] > 0.9
+    assert any("let one camera see targets at both distances, add a [gyroscope]" in line for line in said)
 
 
 def test_lenses_and_distances_compare_a_slow_tilt(tmp_path):

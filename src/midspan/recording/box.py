@@ -13,13 +13,14 @@ from midspan.calibration.camera.box import together as compared
 from midspan.calibration.camera.calibrate import CameraFit, fit_box
 from midspan.calibration.camera.view import SeenTarget, View, filter_settings, target_block
 from midspan.calibration.camera.with_radar import with_tilt
+from midspan.calibration.scale import UNEXPLAINED_SHARE
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import MidspanError, UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
-from midspan.notices import Notice
+from midspan.notices import Notice, rounded
 from midspan.progress import Progress
 from midspan.recording.cameras import SeenBy, calibrated_camera, named, seen_targets, view_of
 from midspan.recording.streams.recording import Recording
@@ -28,6 +29,7 @@ from midspan.recording.tracking.opening import open_tracking, where_it_sees
 from midspan.recording.tracking.posed import PosedTracking
 from midspan.records import NANOSECONDS, Floats, ScaleFactor, TimeOffset, part
 from midspan.settings.messages import renamed
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 from midspan.signals.stamps import inside
 
 REMEDY = (
@@ -131,13 +133,31 @@ def _by_tilt(pair: Sequence[Recording], alone: Mapping[str, SeenBy], progress: P
     except UntrustedError as error:
         if any(one.alone is None for one in seen):
             return {}
-        raise UntrustedError(f"{error} {REMEDY}") from None
+        apart_m, motion_m = _differ_m(base, other, moved)
+        if found.tells or apart_m > UNEXPLAINED_SHARE * motion_m:
+            raise UntrustedError(f"{error} {REMEDY}") from None
+        text = f"the cameras differ by {rounded(1e3 * apart_m)} mm rms; the error band includes it."
+        return _apart(seen, apart_m, (Notice("motion-not-shared", f"camera: {text}"),))
     if not isinstance(fit, tuple):
         return _joined(seen[0], base, other, fit, found)
     camera, notices = fit
     if not notices or any(one.alone is None for one in seen):
         return {}
     return _apart(seen, camera.apart_std_m, notices)
+
+
+def _differ_m(base: _Seen, other: _Seen, moved: SeenTarget) -> tuple[float, float]:
+    """What two cameras differ by as displacements, m, whatever stood before one of them for a while, and the motion's
+    rms; moved: the second one's target at the first one's frames, in its own pixels.
+    """
+    shown = []
+    for one, target in ((base, base.target), (other, moved)):
+        assert one.alone is not None
+        value = target.rows.along(base.view.axis)[0]
+        shown.append(one.alone.parts[0].calibration.scale.value_m_per_px * value)
+    both = np.isfinite(shown[0]) & np.isfinite(shown[1])
+    apart = shown[0][both] - shown[1][both]
+    return float(SIGMA_OF_MEDIAN * np.median(np.abs(apart - np.median(apart)))), float(np.std(shown[0][both]))
 
 
 def _moves(base: _Seen, other: _Seen) -> Callable[[Floats], Floats]:

@@ -121,7 +121,7 @@ def tilt_of(view: View, targets: Sequence[SeenTarget], fit: Fitted, is_certain: 
 
     fit: of each target alone; is_certain: whether no other cause is left, see `certainly_tilts`.
     """
-    may_roll = _may_roll(view.axis, targets)
+    may_roll = _may_roll(targets)
     alone = None if may_roll else _moves_alone(view, targets)
     usable = [k for k in range(len(targets)) if k != alone]
     sharpest = _sharpest(view, targets, usable)
@@ -200,10 +200,12 @@ def _roll(axis: str, one: SeenTarget, other: SeenTarget) -> float:
     return lever_px / (known_px or max(USUAL_FOCAL_PX, *one.frame_px))
 
 
-def _may_roll(axis: str, targets: Sequence[SeenTarget]) -> bool:
-    """Whether a roll moves targets along the axis that are apart across it, and what is known of them shows it."""
+def _may_roll(targets: Sequence[SeenTarget]) -> bool:
+    """Whether a roll or motion along the view moves targets that lie apart in the picture against each other, and what
+    is known of them shows it.
+    """
     known = targets[0].lens is not None and any(one.inverse_distance is not None for one in targets)
-    return known and _across_px(axis, targets) > ROLL_LEVER_PX
+    return known and max(_across_px(one, targets) for one in "xy") > ROLL_LEVER_PX
 
 
 def _are_apart(one: SeenTarget, other: SeenTarget) -> bool:

@@ -256,8 +256,13 @@ class PosedTracking(StoredTracking):
         relative = float(slopes @ self.known.covariance @ slopes)
         value = float(np.sign(near - far or 1.0)) / self.px_per_m
         variance = self.targets[0].rows.along(known.direction)[1]
+        # What the targets move against each other by, as displacements, is no noise of the poses.
+        noise = {one.name: one.noise_std_px**2 for one in known.used}
+        usual = dict(zip(names, self.frames.usual_px2[:, axis].tolist(), strict=True))
+        factors = [noise[name] / usual[name] for name in names if name in noise]
         return replace(
             known,
+            variance_factor=float(np.mean(factors)) if factors else known.variance_factor,
             scale=ScaleFactor(value, relative * value**2),
             region=self.targets[0].region,
             noise_std_px=float(np.sqrt(np.median(variance[np.isfinite(variance)]))),
