@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.records import Floats, Region, TimeSeries, nanoseconds
+from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.simulate.day.setup import DaySetup
-from midspan.simulate.motion.motion import Motion
+from midspan.simulate.motion.motion import Motion, random_motion
 from midspan.simulate.motion.sensors import (
     AccelerometerModel,
     DisplacementSensorModel,
@@ -91,6 +92,41 @@ class GnssSetup:
 
 
 @dataclass(frozen=True, slots=True)
+class GyroscopeSetup:
+    """A gyroscope about the image's x axis in a box that turns, and an accelerometer along its view.
+
+    density: of the rate's white noise, one-sided, °/s/√Hz; bias: °/s; the rest is of the accelerometer along the view:
+    white noise (m/s²), vibration from 1 to 3 Hz (m/s² rms) and a slow error of its bias (m/s² rms).
+    """
+
+    density: float = 0.005
+    bias: float = 0.2
+    noise_std_m_s2: float = 1e-3
+    vibration_m_s2: float = 1e-2
+    slow_m_s2: float = 1e-4
+
+    def measure(self, pitch: Motion, time_s: Floats, *, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """Rate (n,), °/s, and specific force along the view (n,), m/s², of a box that turns by `pitch`, rad."""
+        noisy, shaken, slow = rng.spawn(3)
+        rate_hz = 1.0 / float(time_s[1] - time_s[0])
+        rate = np.degrees(pitch.velocity(time_s)) + self.bias
+        rate += noisy.normal(0.0, self.density * np.sqrt(0.5 * rate_hz), len(time_s))
+        along = GRAVITY_M_S2 * np.sin(pitch.displacement(time_s))
+        along += noisy.normal(0.0, self.noise_std_m_s2, len(time_s))
+        along += random_motion((1.0, 3.0), self.vibration_m_s2, rng=shaken).displacement(time_s)
+        return rate, along + random_motion((0.005, 0.05), self.slow_m_s2, rng=slow).displacement(time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class VibrometerSetup:
+    """A laser vibrometer: its rate (Hz), white noise (m/s) and by how much its clock is late (s)."""
+
+    rate_hz: float = 100.0
+    noise_std_m_s: float = 1e-4
+    time_offset_s: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """A recording to be simulated: `line` says what it shows; `motion` draws the motion from a generator.
 
@@ -114,6 +150,8 @@ class Scenario:
     radar: RadarSetup | None = None
     window_s: Span | None = None
     day: DaySetup | None = None
+    gyroscope: GyroscopeSetup | None = None
+    vibrometer: VibrometerSetup | None = None
     free: str = ""
 
 
@@ -145,6 +183,21 @@ class Stage:
             motion, rng = self.across, self.rng_across
         whole = self.accelerometer.measure(motion, (0.0, self.scenario.duration_s), rng=rng)
         return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
+
+    def rotation(self) -> tuple[Floats, Floats, Floats]:
+        """Times (n,), s, rate about the image's x axis, °/s, and specific force along the view, m/s²."""
+        assert self.posed is not None
+        assert self.scenario.gyroscope is not None
+        time = np.arange(round(self.scenario.duration_s * self.accelerometer.rate_hz)) / self.accelerometer.rate_hz
+        rng = self.rng_sensor.spawn(1)[0]
+        return (time, *self.scenario.gyroscope.measure(self.posed.pose.rotation[0], time, rng=rng))
+
+    def speed(self, setup: VibrometerSetup) -> tuple[Floats, Floats]:
+        """Times (n,) on the vibrometer's clock, s, and velocity, mm/s."""
+        stamps = frame_stamps(self.scenario.duration_s, setup.rate_hz, 0.0, setup.time_offset_s)
+        value = self.sensed.velocity(stamps + setup.time_offset_s)
+        noise = self.rng_sensor.spawn(1)[0].normal(0.0, setup.noise_std_m_s, len(stamps))
+        return stamps, 1e3 * (value + noise)
 
     def written_stamps_s(self, setup: CameraSetup) -> Floats:
         """Time stamps (n,) in s of the frames as they are written: of a clock that may be set in between."""

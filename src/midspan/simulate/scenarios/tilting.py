@@ -5,9 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.records import Region
+from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.simulate.motion.motion import Leaning, Motion, Pulse, Rest, Scaled, Sum, modes, random_motion
-from midspan.simulate.motion.sensors import AccelerometerModel
-from midspan.simulate.scenarios.stage import CameraSetup, Posed, Scenario
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel
+from midspan.simulate.scenarios.stage import (
+    CameraSetup,
+    GnssSetup,
+    GyroscopeSetup,
+    Posed,
+    Scenario,
+    VibrometerSetup,
+)
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.pose import Plane, Pose
 from midspan.simulate.scene.texture import textured_scene
@@ -24,21 +32,24 @@ RIM_PX = 12
 class TiltingFootbridge:
     """Pose and planes of a box at a footbridge's quarter span that looks along it at posts at these distances.
 
-    The box leans with the bridge, later under walkers than it sinks, and nods on its bracket.
+    The box leans with the bridge, later under walkers than it sinks, and nods on its bracket. upwards: 1 where the
+    motion counts upwards, -1 downwards.
     """
 
     distances_m: tuple[float, ...] = (3.0, 10.0)
     size_px: int = 128
+    upwards: float = 1.0
 
     def __call__(self, motion: Motion, rng: np.random.Generator) -> Posed:
         """The camera's pose with the bridge's motion, and what it looks at."""
         drawn, *textures = rng.spawn(1 + len(self.distances_m))
         nods = random_motion((3.3, 3.7), 1.5 * MDEG, rng=drawn, lines=20)
         sun = random_motion((0.004, 0.02), 4.0 * MDEG, rng=drawn, lines=6)
-        pitch = Sum((Scaled(motion, 0.6 * SPAN_SLOPE), Scaled(motion, 0.4 * SPAN_SLOPE, late_s=2.0), nods, sun))
+        slope = self.upwards * SPAN_SLOPE
+        pitch = Sum((Scaled(motion, 0.6 * slope), Scaled(motion, 0.4 * slope, late_s=2.0), nods, sun))
         roll = random_motion((3.3, 3.7), 0.5 * MDEG, rng=drawn, lines=20)
         planes = stacked(self.distances_m, textures, self.size_px)
-        pose = Pose((Rest(), Scaled(motion, -1.0), Rest()), (pitch, Rest(), roll))
+        pose = Pose((Rest(), Scaled(motion, -self.upwards), Rest()), (pitch, Rest(), roll))
         return Posed(pose, planes, (self.size_px * len(planes), self.size_px), FOCAL_PX, motion, k1=-0.05)
 
 
@@ -164,6 +175,31 @@ TILTING_SCENARIOS: dict[str, Scenario] = {
             targets=_regions(("near", "far"), 128),
             posed=TiltingFootbridge(),
         ),
+    ),
+    "gyroscope": Scenario(
+        line="footbridge whose box leans and nods, camera at 30 Hz before one target at 3 m; gyroscope and gravity",
+        title="simulated footbridge, one target and a gyroscope",
+        duration_s=80.0,
+        motion=lambda rng: Scaled(_walked(rng), -1.0),
+        # Along the image's y axis, downwards.
+        accelerometer=AccelerometerModel(rate_hz=100.0, noise_std_m_s2=1e-3, bias_m_s2=-GRAVITY_M_S2),
+        camera=CameraSetup(
+            rate_hz=30.0,
+            time_offset_s=0.02,
+            camera=Camera(exposure_s=0.004),
+            targets=_regions(("near",), 128),
+            posed=TiltingFootbridge((3.0,), upwards=-1.0),
+        ),
+        gyroscope=GyroscopeSetup(),
+    ),
+    "vibrometer": Scenario(
+        line="bridge with a laser vibrometer and a GNSS receiver at 1 Hz",
+        title="simulated bridge, velocity and GNSS",
+        duration_s=100.0,
+        motion=_walked,
+        accelerometer=AccelerometerModel(rate_hz=100.0, noise_std_m_s2=1e-3, bias_m_s2=0.03),
+        gnss=GnssSetup(DisplacementSensorModel(rate_hz=1.0, noise_std_m=1e-3)),
+        vibrometer=VibrometerSetup(),
     ),
     "six-degrees": Scenario(
         line="footbridge whose box moves in all six degrees, camera at 20 Hz before targets at 3, 3 and 10 m",

@@ -69,6 +69,12 @@ def write(
             columns = {"time_s": series.time_ns / 1e9, "height": 1e3 * series.value}
             write_table(partial / "gnss.csv", columns, decimals={"time_s": 6, "height": 4})
             known["displacement"] = {"noise_std_mm": 1e3 * sensor.noise_std_m, "time_offset_s": sensor.time_offset_s}
+        if staged.scenario.gyroscope is not None:
+            time_s, rate, _ = staged.rotation()
+            write_table(partial / "gyro.csv", {"time_s": time_s, "gx": rate}, decimals={"time_s": 6, "gx": 7})
+        if staged.scenario.vibrometer is not None:
+            time_s, speed = staged.speed(staged.scenario.vibrometer)
+            write_table(partial / "laser.csv", {"time_s": time_s, "v": speed}, decimals={"time_s": 6, "v": 6})
         if staged.scenario.radar is not None:
             known["radar"] = staged.scenario.radar.write(
                 partial, staged.sensed, duration_s=duration_s, rng=staged.rng_radar, progress=progress
@@ -90,6 +96,8 @@ def _write_acceleration(folder: Path, staged: Stage) -> None:
         main = staged.scenario.camera.direction
         columns[f"accel_{main}"] = columns.pop("accel")
         columns[f"accel_{_other(main)}"] = staged.acceleration(across=True).value
+    if staged.scenario.gyroscope is not None:
+        columns["accel_z"] = staged.rotation()[2]
     write_table(folder / "accel.csv", columns, decimals=dict.fromkeys(columns, 7) | {"time_s": 6})
 
 
@@ -168,6 +176,14 @@ def _write_settings(folder: Path, staged: Stage) -> None:
             accelerometer.pop("value")
             settings["accelerometer"] = {**accelerometer, "value_x": "accel_x", "value_y": "accel_y"}
             settings["camera"]["direction"] = "xy"
+    if scenario.gyroscope is not None:
+        accelerometer.pop("value")
+        settings["accelerometer"] = {**accelerometer, "value_y": "accel", "value_z": "accel_z"}
+        settings["gyroscope"] = {"file": "gyro.csv", "time": "time_s", "value_x": "gx", "unit": "deg/s"}
+        # One logger writes all; a nearly single tone fits at other offsets too.
+        settings["calibration"] = {"max_offset_s": 0.1}
+    if scenario.vibrometer is not None:
+        settings["velocity"] = {"file": "laser.csv", "time": "time_s", "value": "v", "unit": "mm/s"}
     if scenario.gnss is not None:
         settings["displacement"] = {"file": "gnss.csv", "time": "time_s", "value": "height", "unit": "mm"}
         if scenario.gnss.white:
