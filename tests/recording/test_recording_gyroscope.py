@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 import midspan
 from midspan.errors import UntrustedError, UsageError
 from midspan.recording.inspect import inspect_recording
+from midspan.simulate.scenarios.write import write
 from repeats import slow
 
 GRAVITY, FOCAL_PX, MDEG = 9.80665, 5000.0, np.pi / 180e3
