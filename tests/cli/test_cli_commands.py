@@ -52,6 +52,7 @@ def calls(footbridge, done, target):
         "inspect": ["inspect", f"{footbridge}"],
         "calibrate": ["calibrate", f"{footbridge}", "-o", f"{target}/calibration.json"],
         "estimate": ["estimate", f"{footbridge}", "-o", f"{target}/result.csv"],
+        "batch": ["batch", f"{campaign(footbridge, target)}", "--runner", "local"],
         "track": ["track", f"{footbridge}", "-o", f"{target}/track.csv"],
         "lens": ["lens", f"{done}/boards", "-o", f"{target}/lens.json"],
         "compare": ["compare", f"{done}/result.csv", f"{footbridge}/truth.csv"],
@@ -69,6 +70,13 @@ def calls(footbridge, done, target):
         "replay": ["replay", f"{footbridge}", "-o", f"{target}/store", "-c", f"{done}/calibration.json"],
         "export": ["export", f"{done}/store", "-o", f"{target}/rows.csv"],
     }
+
+
+def campaign(footbridge, target):
+    """A CAMPAIGN.toml of one recording."""
+    file = target / "CAMPAIGN.toml"
+    file.write_text(f'recordings = ["{footbridge}"]\noutput = "results"\n')
+    return file
 
 
 def site(footbridge, target):

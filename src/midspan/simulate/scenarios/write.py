@@ -69,12 +69,7 @@ def write(
             columns = {"time_s": series.time_ns / 1e9, "height": 1e3 * series.value}
             write_table(partial / "gnss.csv", columns, decimals={"time_s": 6, "height": 4})
             known["displacement"] = {"noise_std_mm": 1e3 * sensor.noise_std_m, "time_offset_s": sensor.time_offset_s}
-        if staged.scenario.gyroscope is not None:
-            time_s, rate, _ = staged.rotation()
-            write_table(partial / "gyro.csv", {"time_s": time_s, "gx": rate}, decimals={"time_s": 6, "gx": 7})
-        if staged.scenario.vibrometer is not None:
-            time_s, speed = staged.speed(staged.scenario.vibrometer)
-            write_table(partial / "laser.csv", {"time_s": time_s, "v": speed}, decimals={"time_s": 6, "v": 6})
+        _write_helping(partial, staged)
         if staged.scenario.radar is not None:
             known["radar"] = staged.scenario.radar.write(
                 partial, staged.sensed, duration_s=duration_s, rng=staged.rng_radar, progress=progress
@@ -87,6 +82,16 @@ def write(
         _write_settings(partial, staged)
         (partial / MARK).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
     return target
+
+
+def _write_helping(folder: Path, staged: Stage) -> None:
+    """The files of a gyroscope and of a vibrometer."""
+    if staged.scenario.gyroscope is not None:
+        time_s, rate, _ = staged.rotation()
+        write_table(folder / "gyro.csv", {"time_s": time_s, "gx": rate}, decimals={"time_s": 6, "gx": 7})
+    if staged.scenario.vibrometer is not None:
+        time_s, speed = staged.speed(staged.scenario.vibrometer)
+        write_table(folder / "laser.csv", {"time_s": time_s, "v": speed}, decimals={"time_s": 6, "v": 6})
 
 
 def _write_acceleration(folder: Path, staged: Stage) -> None:
