@@ -19,6 +19,7 @@ div { overflow-x: auto }
 table { border-collapse: collapse; width: 100% }
 th, td { border-bottom: 1px solid #8886; padding: .3rem .6rem; text-align: left; vertical-align: top }
 td.n { text-align: right; font-variant-numeric: tabular-nums }
+td:last-child { min-width: 24rem }
 tr.bad td:first-child { border-left: 4px solid #c33 }
 """
 
