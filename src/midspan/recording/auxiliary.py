@@ -162,7 +162,7 @@ def _focal_length(
     if gyroscope is not None:
         return gyroscope.focal_px, gyroscope.focal_std_px
     if lens is not None:
-        focal_px = float(lens.matrix["xy".index(recording.axis)])
+        focal_px = lens.focal_px(recording.axis)
         return focal_px, FOCAL_STD * focal_px
     return None
 

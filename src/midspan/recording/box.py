@@ -29,6 +29,7 @@ from midspan.recording.tracking.opening import open_tracking, where_it_sees
 from midspan.recording.tracking.posed import PosedTracking
 from midspan.records import NANOSECONDS, Floats, ScaleFactor, TimeOffset, part
 from midspan.settings.messages import renamed
+from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 from midspan.signals.stamps import inside
 
@@ -172,7 +173,7 @@ def _moves(base: _Seen, other: _Seen) -> Callable[[Floats], Floats]:
     block = target_block(base.target, fit.calibration.mappings()[0], fit.calibration.exposure_s, acceleration)
     first, last = int(block.time_ns[0]) - NANOSECONDS, int(block.time_ns[-1]) + NANOSECONDS
     near = part(acceleration, inside(acceleration.time_ns, first, last))
-    path = smooth(near, block, filter_settings(view.prepared, noise.density)).estimate
+    path = smooth(near, block, filter_settings(view.prepared, noise.density, lean=GRAVITY_M_S2 * fit.slope)).estimate
     apart_ns = view.window_ns[0] - other.view.late_ns + round(NANOSECONDS * own.offset.value_s)
 
     def moved_px(time_s: Floats) -> Floats:

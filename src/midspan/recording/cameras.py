@@ -271,7 +271,7 @@ def _gyroscope_fit(
     density = None if section.noise_density is None else factor * section.noise_density
     bias_std = None if section.bias_std is None else factor * section.bias_std
     lens = seen[0].lens
-    focal_px = None if lens is None else float(lens.matrix["xy".index(view.axis)])
+    focal_px = None if lens is None else lens.focal_px(view.axis)
     known = None if focal_px is None else (focal_px, FOCAL_STD * focal_px)
     try:
         found = fit_gyroscope(view, seen, series, parts, noise_density=density, bias_std=bias_std, focal_px=known)

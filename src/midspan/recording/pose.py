@@ -236,7 +236,9 @@ class _Camera:
         felt = view.prepared.with_noise(noise.density, noise.motion_s)
         felt = Acceleration(felt.time_ns, felt.value_m_s2 / gain, felt.noise_density / gain**2)
         block = at_instants(block, self._blur_s(), felt)
-        return smooth(felt, block, filter_settings(view.prepared, noise.density)).estimate
+        return smooth(
+            felt, block, filter_settings(view.prepared, noise.density, lean=along.fit.search.pair.lean)
+        ).estimate
 
 
 PREFIX = "camera: the result has no columns of its translation and rotation: "

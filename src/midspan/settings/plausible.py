@@ -67,7 +67,7 @@ def expected_m_per_px(camera: CameraSettings, calibration: CameraCalibration) ->
     if camera.focal_length_mm is not None and camera.pixel_pitch_um is not None:
         focal_px = 1e3 * camera.focal_length_mm / camera.pixel_pitch_um
     elif calibration.lens is not None:
-        focal_px = calibration.lens.matrix["xy".index(calibration.direction)]
+        focal_px = calibration.lens.focal_px(calibration.direction)
     return None if camera.distance_m is None or focal_px is None else camera.distance_m / focal_px
 
 
@@ -94,7 +94,7 @@ def target_distance_m(camera: CameraSettings, calibration: CameraCalibration) ->
     lens = calibration.lens
     if camera.distance_m is not None or lens is None:
         return camera.distance_m
-    focal_px = float(lens.matrix["xy".index(calibration.direction)])
+    focal_px = lens.focal_px(calibration.direction)
     return focal_px * max(abs(one.scale_m_per_px) for one in calibration.mappings())
 
 

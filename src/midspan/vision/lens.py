@@ -44,6 +44,10 @@ class Lens:
     size: tuple[int, int]
     covered_px: float | None = None
 
+    def focal_px(self, axis: str) -> float:
+        """The focal length along an image axis "x" or "y", px."""
+        return float(self.matrix["xy".index(axis)])
+
     def __post_init__(self) -> None:
         option("lens model", self.model, MODELS)
         if len(self.matrix) != 4:

@@ -175,7 +175,7 @@ def together(
     first = compared.place(offset_s)
     turned_s = compared.scanned(first, other_view.max_offset_s) if offsets_s[1] is None else offsets_s[1]
     lenses = [target.lens for target in (one, other)]
-    focal = [None if lens is None else float(lens.matrix["xy".index(view.axis)]) for lens in lenses]
+    focal = [None if lens is None else lens.focal_px(view.axis) for lens in lenses]
     known = None if None in focal else focal[0] / focal[1]  # type: ignore[operator]
     compared.alone_s = offsets_s
     return compared.near(replace(first, turned_s=turned_s), known)

@@ -194,7 +194,7 @@ class _Compared:
             for k, mapping, block in zip(used, camera.mappings(), blocks, strict=True)
         ]
         self._sharpest = min(self.members, key=lambda member: member.noise_m2)
-        kalman = filter_settings(view.prepared, noise.density)
+        kalman = filter_settings(view.prepared, noise.density, lean=best.search.pair.lean)
         self._path = smooth(self._acceleration, self._sharpest.block, kalman).estimate
         first, last = (int(i) for i in np.searchsorted(blocks[0].time_ns, view.window_ns))
         self._window = slice(first, last) if last - first >= MIN_FRAMES else slice(0, len(blocks[0].time_ns))

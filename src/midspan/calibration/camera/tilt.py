@@ -196,7 +196,7 @@ def _roll(axis: str, one: SeenTarget, other: SeenTarget) -> float:
     lever_px = _across_px(axis, (one, other))
     if lever_px <= ROLL_LEVER_PX:
         return 0.0
-    known_px = None if one.lens is None else float(one.lens.matrix["xy".index(axis)])
+    known_px = None if one.lens is None else one.lens.focal_px(axis)
     return lever_px / (known_px or max(USUAL_FOCAL_PX, *one.frame_px))
 
 

@@ -21,6 +21,7 @@ from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.notices import Notice, rounded
 from midspan.records import NANOSECONDS, part
+from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.stamps import inside
 
 
@@ -39,7 +40,9 @@ def with_tilt(
     seen = part(block, inside(block.time_ns, int(moved.time_ns[0]), int(moved.time_ns[-1])))
     first, last = int(moved.time_ns[0]) - NANOSECONDS, int(moved.time_ns[-1]) + NANOSECONDS
     near = part(acceleration, slice(*(int(k) for k in np.searchsorted(acceleration.time_ns, (first, last)))))
-    path = smooth(near, moved, filter_settings(view.prepared, radar.input_noise.density)).estimate
+    path = smooth(
+        near, moved, filter_settings(view.prepared, radar.input_noise.density, lean=GRAVITY_M_S2 * radar.slope)
+    ).estimate
     expected = at(path, seen.time_ns)[0]
     scale_std = float(np.hypot(camera.relative_std, radar.calibration.relative_std))
     found = difference(seen.value_m - expected, seen.variance_m2, expected, scale_std)
