@@ -128,6 +128,20 @@ def test_what_a_calibration_warns_of_is_on_its_card_and_in_its_view(opened, stat
         assert violations(page) == []
 
 
+def test_a_link_that_is_followed_while_the_address_is_written_is_followed(opened):
+    page = opened("point/p")
+    play.expect(page.locator(".legend")).to_contain_text("95 %")
+    # The link is followed a moment before the address is due: the browser says that it changed only after both.
+    page.evaluate("""() => {
+      setTimeout(() => { location.hash = '#/alarms'; }, 300);
+      document.querySelector('.chart').dispatchEvent(new KeyboardEvent('keydown', {key: '+'}));
+      const end = performance.now() + 400;
+      while (performance.now() < end);
+    }""")
+    play.expect(page.get_by_role("heading", level=1)).to_have_text("Alarms")
+    assert page.evaluate("location.hash") == "#/alarms"
+
+
 def test_rows_that_grow_take_the_focus_from_nothing(opened):
     page = opened("")
     # The view is shown anew once the page has its first answer.

@@ -78,6 +78,8 @@ class PointView {
   #follow = button("Freeze", () => this.#toggle());
   #shown: SpanChoice;
   #writing = 0;
+  // The address of what is shown; one that a link changed since is not ours to write over.
+  #address = location.hash;
 
   constructor(root: HTMLElement, site: SiteState, name: string, time: string[]) {
     [this.#site, this.#name] = [site, name];
@@ -213,8 +215,11 @@ class PointView {
     const { path } = this.#window;
     last = [this.#name, ...path.split("/")];
     window.clearTimeout(this.#writing);
-    const address = `#/point/${encodeURIComponent(this.#name)}/${path}`;
-    this.#writing = window.setTimeout(() => history.replaceState(null, "", address), ADDRESS_MS);
+    this.#writing = window.setTimeout(() => {
+      if (location.hash !== this.#address) return;
+      history.replaceState(null, "", `#/point/${encodeURIComponent(this.#name)}/${path}`);
+      this.#address = location.hash;
+    }, ADDRESS_MS);
   }
 
   #toggle(): void {
