@@ -427,6 +427,24 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
+class GroupRows:
+    """Rows of the points of a group as runs (k,): evenly timed rows of one point with one status, ordered by time for
+    each point. `point` counts from 0 in the group; run j has count[j] rows, at t0_ns[j] (UTC) and every dt_ns[j] after.
+
+    displacement_m, std_m, velocity_m_s: rows of all runs, one after another (sum of count,).
+    """
+
+    point: NDArray[np.uint32]
+    t0_ns: Nanoseconds
+    dt_ns: Nanoseconds
+    count: NDArray[np.uint32]
+    status: NDArray[np.uint8]
+    displacement_m: Floats
+    std_m: Floats
+    velocity_m_s: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class Innovation:
     """Measured minus predicted displacement, its predicted variance and the gate's verdict: arrays (n,)."""
 
