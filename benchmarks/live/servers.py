@@ -130,7 +130,7 @@ class Postgres:
 
     def start(self) -> None:
         """Start it, and wait until it answers."""
-        self._run("pg_ctl", "-w", "-t", "60", "-o", self._options, "-l", str(self._folder / "log"), "start")
+        self._run("pg_ctl", "-w", "-t", "180", "-o", self._options, "-l", str(self._folder / "log"), "start")
 
     def stop(self) -> None:
         """End it at once, as a crash does."""

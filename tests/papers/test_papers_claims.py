@@ -181,7 +181,9 @@ def test_measuring_again_with_the_same_seed_gives_the_same_numbers():
 
 def test_it_speaks_to_people_and_is_silent_when_asked(monkeypatch):
     monkeypatch.setattr(entries_003, "EXPERIMENTS", (entries_003.ALIASES,))
-    reported, silent = (CliRunner().invoke(commands, ["papers", "--only", "003", *more]) for more in ((), ("--quiet",)))
+    reported, silent = (
+        CliRunner().invoke(commands, ["papers", "--quick", "--only", "003", *more]) for more in ((), ("--quiet",))
+    )
     assert "003 Table 3" in reported.stdout
     assert "0 holds, 1 does not hold" in reported.stdout
     assert (silent.exit_code, silent.stdout) == (0, "")
