@@ -214,6 +214,6 @@ def _estimated(recording: "Recording", job: Job, calibration: "Calibration | Non
     if job.calibration is not None:
         calibration = load_calibration(job.calibration)
     result = estimate(recording, calibration, method=job.method, given=given)
-    if job.second is not None or result.references()[0] is None:
+    if not recording.has("reference"):
         return result, None
     return result, float(compare(result, job.path).to_dict()["rmse_mm"])
