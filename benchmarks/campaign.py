@@ -1,6 +1,6 @@
 """Two hundred small recordings: `midspan batch` in processes against a loop of `midspan.estimate` in one process.
 
-The loop's start is counted. --quick: forty recordings. --ray: two workers of Ray against one, with all that Ray starts.
+The loop's start is counted. --quick: forty recordings. --ray: two workers of Ray against one, once they have started.
 """
 
 import ctypes
@@ -14,6 +14,10 @@ import time
 from pathlib import Path
 
 from benchmarks.table import goal, show
+from midspan.scale.jobs import jobs_of
+from midspan.scale.runners import RayRunner
+from midspan.scale.work import Task, work
+from midspan.settings.campaign import load_campaign
 from midspan.simulate.scenarios.write import write
 
 COUNT, QUICK, DIFFERENT = 200, 40, 8
@@ -56,6 +60,22 @@ def batch(root: Path, runner: str, workers: int) -> tuple[float, float]:
     return spent([sys.executable, "-m", "midspan", "batch", str(root), "--runner", runner, "--workers", str(workers)])
 
 
+def of_ray(root: Path, workers: int) -> float:
+    """Wall time of a campaign on a cluster whose workers have done a few recordings before, s."""
+    shutil.rmtree(root / "results", ignore_errors=True)
+    settings, folder = load_campaign(root)
+    tasks = [Task(job, root / settings.output) for job in jobs_of(settings, folder)]
+    cluster = RayRunner(workers)
+    try:
+        list(RayRunner().run(work, tasks[:DIFFERENT]))
+        shutil.rmtree(root / "results")
+        begun_s = time.monotonic()
+        list(RayRunner().run(work, tasks))
+        return time.monotonic() - begun_s
+    finally:
+        cluster.close()
+
+
 def main() -> None:
     """Both, one after the other."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
@@ -64,9 +84,9 @@ def main() -> None:
         root = Path(name)
         campaign(root, count)
         if "--ray" in sys.argv:
-            one, two = batch(root, "ray", 1), batch(root, "ray", 2)
-            show(("", "processor s", "wall s"), [("1 worker of Ray", *one), ("2 workers of Ray", *two)])
-            goal(f"{count} recordings, wall time of 2 workers of Ray to 1", two[1] / one[1], MAX_WALL_OF_TWO)
+            one_s, two_s = of_ray(root, 1), of_ray(root, 2)
+            show(("workers of Ray", "wall s"), [("1", one_s), ("2", two_s)])
+            goal(f"{count} recordings, wall time of 2 workers of Ray to 1", two_s / one_s, MAX_WALL_OF_TWO)
             return
         loop, processes = spent([sys.executable, "-c", LOOP, name]), batch(root, "process", 2)
     show(("", "processor s", "wall s"), [("loop", *loop), ("batch", *processes)])

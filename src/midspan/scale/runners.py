@@ -2,10 +2,12 @@
 
 import os
 import secrets
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from tempfile import TemporaryDirectory
+from types import ModuleType
 from typing import Any, Protocol
 
 from midspan.errors import MidspanError, UsageError
@@ -119,7 +121,13 @@ def _begun(context: Any, function: Callable[[Any], Any], idle: list[tuple[Any, A
 def _started(context: Any, function: Callable[[Any], Any]) -> tuple[Any, Any]:
     own, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs, function), daemon=True)
-    process.start()
+    # A worker imports the main module of who starts it, which a script without a guard does not bear.
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        process.start()
+    finally:
+        sys.modules["__main__"] = main
     theirs.close()
     return own, process
 
@@ -138,14 +146,18 @@ def _serve(pipe: Any, function: Callable[[Any], Any]) -> None:
     while True:
         try:
             task = pipe.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return
         try:
             result = function(task)
         except MidspanError as error:
             # As of a full disk: no task goes on.
             result = UsageError(str(error))
-        pipe.send(result)
+        try:
+            pipe.send(result)
+        except OSError:
+            # Another worker's error has ended the campaign.
+            return
 
 
 class RayRunner:
@@ -165,10 +177,11 @@ class RayRunner:
         except ImportError:
             text = 'runner ray: Ray is not installed. Install it with `pip install "midspan[ray]"`.'
             raise UsageError(text) from None
-        self._ray, self._own = ray, not ray.is_initialized()
+        self._ray: Any = ray
+        self._own = not self._ray.is_initialized()
         if self._own:
             how = {"address": address} if address else self._of_this_machine(workers)
-            ray.init(include_dashboard=False, log_to_driver=False, configure_logging=False, **how)
+            self._ray.init(include_dashboard=False, log_to_driver=False, configure_logging=False, **how)
 
     def _of_this_machine(self, workers: int | None) -> dict[str, Any]:
         return {
@@ -199,9 +212,13 @@ class RayRunner:
         finally:
             for pending in numbers:
                 ray.cancel(pending, force=True)
-            if self._own:
-                ray.shutdown()
-            self._files.close()
+            self.close()
+
+    def close(self) -> None:
+        """End what this has started."""
+        if self._own:
+            self._ray.shutdown()
+        self._files.close()
 
 
 RUNNERS: dict[str, Callable[[int | None], Runner]] = {
