@@ -12,6 +12,7 @@ import pandas as pd
 COUNT = 6
 # A command starts, and a worker has done a recording, within this on a busy machine, s.
 PATIENCE_S = 120.0
+WITHOUT_TASKS = ("ray::DashboardAgent", "ray::RuntimeEnvAgent", "default_worker.py")
 
 
 class Campaign:
@@ -79,8 +80,12 @@ def descendants(process: int) -> dict[int, str]:
 
 
 def killed_with_all(process: subprocess.Popen) -> None:
-    """Kill a command (SIGKILL); all that it has started ends by itself."""
-    children = descendants(process.pid)
+    """Kill a command (SIGKILL); all that it has started ends by itself.
+
+    What of Ray has no task, its agents and a worker that begins, looks for its cluster for another minute.
+    """
+    started = descendants(process.pid).items()
+    children = {child: line for child, line in started if not any(name in line for name in WITHOUT_TASKS)}
     assert children
     process.send_signal(signal.SIGKILL)
     process.communicate()

@@ -169,7 +169,7 @@ class RayRunner:
 
     def __init__(self, workers: int | None = None) -> None:
         self._files, address = ExitStack(), os.environ.get("RAY_ADDRESS")
-        if not address:
+        if not address and "ray" not in sys.modules:
             os.environ |= OF_THIS_MACHINE
             os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
         try:

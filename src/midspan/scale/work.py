@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from midspan.errors import MidspanError
+from midspan.errors import DataError, MidspanError
 from midspan.scale.confined import require_confined
-from midspan.scale.jobs import Job, key_of
+from midspan.scale.jobs import SIGNS, Job, key_of
 from midspan.scale.remote import fetched
+from midspan.sources.zipped import is_inside
 from midspan.trees import TreeError, read_json
 from midspan.writing import cannot_be_written, write_whole
 
@@ -182,6 +183,9 @@ def opened(job: Job) -> "Recording":
     chosen = {} if job.tracker is None else {"tracker": job.tracker}
     if job.second is None:
         return open_with_cameras(job.path, chosen)
+    for path in (job.path, job.second):
+        if not (path.exists() or is_inside(path) or any(sign in path.name for sign in SIGNS)):
+            raise DataError(f"{path}: no such file. Correct its name in the campaign's table.")
     found = draft(job.path, job.second, Choices(**job.choices))
     if found.second != DISPLACEMENT.section:
         found.sections[found.second] |= chosen
