@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 import midspan
-from midspan.errors import UsageError
+from midspan.errors import DataError, UsageError
 from midspan.scale.runners import Died, LocalRunner, ProcessRunner
 
 NAMES = ("2026-01/a", "2026-01/b", "2026-02/a")
@@ -68,9 +68,14 @@ def test_one_that_fails_does_not_stop_the_rest(campaign):
     assert [one.exit_code for one in result.outcomes] == [2, 0, 0]
     assert result.exit_code == 3
     assert "fil" in result.outcomes[0].message
+    assert "fil" in (campaign / "results" / "summary.html").read_text()
     # Mended, it alone is estimated.
     shutil.copy(campaign / NAMES[1] / "recording.toml", campaign / NAMES[0] / "recording.toml")
     assert midspan.batch(campaign, runner="process").exit_code == 0
+    # What is refused later has no rows of before.
+    (campaign / NAMES[0] / "recording.toml").write_text("[accelerometer]\nfil = 'a.csv'\n")
+    assert midspan.batch(campaign, runner="local").exit_code == 3
+    assert sorted(rows_of(campaign)["recording"].unique()) == sorted(NAMES[1:])
 
 
 def test_processes_give_what_one_process_gives(campaign):
@@ -124,9 +129,26 @@ def test_hdf5_with_a_link_to_another_file_is_not_read(campaign):
     assert "link to another file" in outcome.message
 
 
+def test_a_table_says_which_of_its_files_is_missing(recording, tmp_path):
+    (tmp_path / "pairs.csv").write_text("accelerometer,video\na.csv,none.csv\n")
+    (tmp_path / "CAMPAIGN.toml").write_text('table = "pairs.csv"\noutput = "results"\n')
+    (outcome,) = midspan.batch(tmp_path, runner="local").outcomes
+    assert outcome.exit_code == 3
+    assert "a.csv: no such file" in outcome.message
+
+
+def test_a_tracker_of_all_is_that_of_those_with_a_camera(campaign):
+    file = campaign / "CAMPAIGN.toml"
+    file.write_text(file.read_text() + 'tracker = "phase"\n')
+    assert midspan.batch(campaign, runner="local").exit_code == 0
+
+
 def test_wrong_campaigns_are_refused_in_words(tmp_path):
     (tmp_path / "CAMPAIGN.toml").write_text('output = "results"\n')
     with pytest.raises(UsageError, match="must name recordings or a table"):
+        midspan.batch(tmp_path)
+    (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["*", "none"]\noutput = "results"\n')
+    with pytest.raises(DataError, match=r"none: has no recording\.toml"):
         midspan.batch(tmp_path)
     (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["none*"]\noutput = "results"\nmethod = "magic"\n')
     with pytest.raises(UsageError, match="must be one of smoother"):

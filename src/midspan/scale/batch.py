@@ -21,12 +21,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Campaign:
     """What came of a campaign: the folder of its results, and the outcomes in the order of their names."""
 
     output: Path
     outcomes: tuple[Outcome, ...]
+
+    def __repr__(self) -> str:
+        done = sum(not one.exit_code for one in self.outcomes)
+        return f"Campaign({str(self.output)!r}: {done} of {len(self.outcomes)} recordings done)"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the summary."""
+        return self.to_pandas().to_html(index=False, na_rep="")
 
     @property
     def exit_code(self) -> int:

@@ -1,6 +1,7 @@
 """What a worker does with one job: estimate, write the rows, then what came of it. Whatever is wrong is an outcome."""
 
 import json
+import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -133,7 +134,10 @@ def work_whole(cut: Cut) -> Outcome:
 
 
 def failed(task: Task, key: str, error: Exception) -> Outcome:
-    """The outcome where something is wrong; what is not the user's fault is tried again by the next run."""
+    """The outcome where something is wrong, without rows of earlier files; what is not the user's fault is tried again
+    by the next run.
+    """
+    shutil.rmtree(task.rows_folder, ignore_errors=True)
     if isinstance(error, MidspanError):
         return Outcome(task.job.name, error.exit_code, message=" ".join(str(error).split()), key=key)
     return Outcome(task.job.name, INTERNAL, message=f"internal error ({type(error).__name__}: {error})")
