@@ -10,6 +10,7 @@ import os
 import shutil
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,7 +80,7 @@ def work_piece(piece: Piece) -> Done:
     try:
         result = estimate_piece(_recording(cut), cut.calibration, span)
     except Exception:
-        # Whatever is wrong is told of the whole.
+        # The whole reports what is wrong.
         result = None
     if result is None:
         return Done(0, {}, time.monotonic() - begun_s, whole=True)
@@ -130,6 +131,9 @@ def join(cut: Cut) -> Outcome:
         _publish(cut, pieces)
         outcome = record(cut.task, outcome, begun_s - sum(one.seconds for one in done))
     shutil.rmtree(cut.task.pieces_folder, ignore_errors=True)
+    with suppress(OSError):
+        # Of the last recording of all.
+        cut.task.pieces_folder.parent.rmdir()
     return outcome
 
 

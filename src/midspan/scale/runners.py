@@ -18,7 +18,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 ATTEMPTS = 2
 # What Ray keeps between tasks, bytes: they take paths and give figures.
 OBJECTS_BYTES = 100_000_000
-# Read by Ray when it is imported; the last one's name is that of the systems on which it listens on loopback by itself.
+# Read by Ray when it is imported; the last one has it listen on loopback, as on other systems.
 OF_THIS_MACHINE = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_AUTH_MODE": "token",

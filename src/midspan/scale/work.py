@@ -200,7 +200,7 @@ def _cut(recording: "Recording", job: Job) -> "tuple[Calibration | None, tuple[S
     """The calibration of a recording that may be cut, and its pieces; without both it is estimated whole.
 
     What has to be fetched stays whole, and what is estimated with a calibration of another record: whether that fits
-    is told by the whole.
+    shows in the whole.
     """
     from midspan.recording.pieces import calibrated, may_be_cut
 
