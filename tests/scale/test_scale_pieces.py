@@ -60,7 +60,7 @@ def written(folder, *, settles_mm=0.0, gap_s=(), shifts_mm=0.0):
 
 @pytest.fixture
 def short(monkeypatch):
-    """Pieces of less than seven minutes in place of an hour or more."""
+    """Pieces of less than seven minutes in place of three hours or more."""
     monkeypatch.setattr(pieces, "PIECE_SAMPLES", 1)
     monkeypatch.setattr(pieces, "PIECE_S", 399.0)
     monkeypatch.setattr(pieces, "OVERLAP_S", 120.0)
@@ -123,7 +123,7 @@ def test_a_recording_that_was_in_pieces_can_become_one_again(short, tmp_path, mo
     folder = written(tmp_path)
     midspan.batch(folder, runner="local")
     assert len(parts_of(folder)) == 3
-    monkeypatch.setattr(pieces, "PIECE_S", 3600.0)
+    monkeypatch.setattr(pieces, "PIECE_S", 10_800.0)
     changed = folder / "a" / "recording.toml"
     changed.write_text(changed.read_text() + "\n# again\n")
     (outcome,) = midspan.batch(folder, runner="local").outcomes

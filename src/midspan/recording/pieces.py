@@ -29,16 +29,17 @@ from midspan.settings.kinds import KINDS
 from midspan.settings.stored.calibration import Calibration
 
 # A piece has about this many samples, and lasts this long at least, s: what is run twice is little of it.
-PIECE_SAMPLES, PIECE_S = 1_000_000, 3600.0
+PIECE_SAMPLES, PIECE_S = 1_000_000, 10_000.0
 # A piece begins so much before its own rows and ends so much after them, s. Measured with a GNSS: after 20 s rows
 # differ by 0.4 % of their standard deviation, and no less after longer, standard deviations after 120 s by 0.03 %.
 OVERLAP_S = 300.0
 # Around the instant where two pieces meet, rows of both are compared over so much on both sides, s.
 SEAM_S = 10.0
 # Rows of two pieces agree where displacements differ by this share of their standard deviation, or by this many metres,
-# and standard deviations by this share. Rows then differ from the whole's by less than 2 % of it: those of six hours in
-# two pieces by 1.3 % in a minute without a measurement, elsewhere by less than 1 %.
-MAX_SHARE, MAX_DIFFERENCE_M = 0.005, 1e-7
+# and standard deviations by this share. What is left is the accelerometer's gain, which a shorter record determines
+# less well: 1.3 % where pieces last an hour and a half, 0.5 % where they last three. Those of six hours then differ from
+# the whole's by 1.3 % in a minute without a measurement, elsewhere by 1.1 %.
+MAX_SHARE, MAX_DIFFERENCE_M = 0.01, 1e-7
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,6 +61,9 @@ def batch(
     if workers is not None and instance("workers", workers, int, "a whole number") < 1:
         raise UsageError(f"workers: must be at least 1; received {workers}.")
     settings, folder = load_campaign(path_of("campaign", campaign))
+    if runner == "ray":
+        # A worker of a cluster runs in another folder.
+        folder = folder.absolute()
     output = folder / settings.output
     try:
         output.mkdir(parents=True, exist_ok=True)
