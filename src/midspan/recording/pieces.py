@@ -37,8 +37,8 @@ OVERLAP_S = 300.0
 SEAM_S = 10.0
 # Rows of two pieces agree where displacements differ by this share of their standard deviation, or by this many metres,
 # and standard deviations by this share. What is left is the accelerometer's gain, which a shorter record determines
-# less well: 1.3 % where pieces last an hour and a half, 0.5 % where they last three. Those of six hours then differ from
-# the whole's by 1.3 % in a minute without a measurement, elsewhere by 1.1 %.
+# less well: 1.3 % where pieces last an hour and a half, 0.5 % where they last three. Rows of six hours then differ
+# from the whole's by 1.3 % in a minute without a measurement, elsewhere by 1.1 %.
 MAX_SHARE, MAX_DIFFERENCE_M = 0.01, 1e-7
 
 
