@@ -3,8 +3,10 @@
 import json
 import os
 import shutil
+import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -12,16 +14,10 @@ import pandas as pd
 import pytest
 
 import midspan
-from midspan.errors import UsageError
+from midspan.errors import DataError, UsageError
 from midspan.scale.runners import Died, LocalRunner, ProcessRunner
-from midspan.simulate.scenarios.write import write
 
 NAMES = ("2026-01/a", "2026-01/b", "2026-02/a")
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    return write("gnss", tmp_path_factory.mktemp("gnss") / "recording", seed=3)
 
 
 @pytest.fixture
@@ -72,9 +68,14 @@ def test_one_that_fails_does_not_stop_the_rest(campaign):
     assert [one.exit_code for one in result.outcomes] == [2, 0, 0]
     assert result.exit_code == 3
     assert "fil" in result.outcomes[0].message
+    assert "fil" in (campaign / "results" / "summary.html").read_text()
     # Mended, it alone is estimated.
     shutil.copy(campaign / NAMES[1] / "recording.toml", campaign / NAMES[0] / "recording.toml")
     assert midspan.batch(campaign, runner="process").exit_code == 0
+    # What is refused later has no rows of before.
+    (campaign / NAMES[0] / "recording.toml").write_text("[accelerometer]\nfil = 'a.csv'\n")
+    assert midspan.batch(campaign, runner="local").exit_code == 3
+    assert sorted(rows_of(campaign)["recording"].unique()) == sorted(NAMES[1:])
 
 
 def test_processes_give_what_one_process_gives(campaign):
@@ -128,9 +129,26 @@ def test_hdf5_with_a_link_to_another_file_is_not_read(campaign):
     assert "link to another file" in outcome.message
 
 
+def test_a_table_says_which_of_its_files_is_missing(recording, tmp_path):
+    (tmp_path / "pairs.csv").write_text("accelerometer,video\na.csv,none.csv\n")
+    (tmp_path / "CAMPAIGN.toml").write_text('table = "pairs.csv"\noutput = "results"\n')
+    (outcome,) = midspan.batch(tmp_path, runner="local").outcomes
+    assert outcome.exit_code == 3
+    assert "a.csv: no such file" in outcome.message
+
+
+def test_a_tracker_of_all_is_that_of_those_with_a_camera(campaign):
+    file = campaign / "CAMPAIGN.toml"
+    file.write_text(file.read_text() + 'tracker = "phase"\n')
+    assert midspan.batch(campaign, runner="local").exit_code == 0
+
+
 def test_wrong_campaigns_are_refused_in_words(tmp_path):
     (tmp_path / "CAMPAIGN.toml").write_text('output = "results"\n')
     with pytest.raises(UsageError, match="must name recordings or a table"):
+        midspan.batch(tmp_path)
+    (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["*", "none"]\noutput = "results"\n')
+    with pytest.raises(DataError, match=r"none: has no recording\.toml"):
         midspan.batch(tmp_path)
     (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["none*"]\noutput = "results"\nmethod = "magic"\n')
     with pytest.raises(UsageError, match="must be one of smoother"):
@@ -162,6 +180,13 @@ def test_a_task_whose_worker_died_is_begun_once_more(tmp_path):
     assert (tmp_path / "2").read_text() == "xx"
 
 
+def test_a_script_needs_no_guard(campaign):
+    script = campaign / "script.py"
+    script.write_text('import midspan\nprint(midspan.batch("CAMPAIGN.toml", workers=2).exit_code)\n')
+    found = subprocess.run([sys.executable, str(script)], check=True, capture_output=True, text=True, cwd=campaign)
+    assert (found.stdout, found.stderr) == ("0\n", "")
+
+
 def test_the_local_runner_goes_in_order():
     assert list(LocalRunner().run(json.dumps, [1, 2])) == [(0, "1"), (1, "2")]
 
@@ -186,12 +211,10 @@ def test_recordings_of_a_store_are_fetched_by_the_worker(recording, tmp_path):
     assert [part.stat().st_mtime_ns for part in parts] == before
 
 
-def test_a_cluster_gives_the_same_and_begins_again_what_a_lost_worker_had(campaign, tmp_path, monkeypatch):
-    ray = pytest.importorskip("ray")
-    ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+def test_a_cluster_gives_the_same_and_begins_again_what_a_lost_worker_had(ray_cluster, campaign, tmp_path):
     from midspan.scale.runners import RayRunner
 
+    ray_cluster.cloudpickle.register_pickle_by_value(sys.modules[__name__])
     tasks = [Fragile(str(tmp_path / str(k)), deaths) for k, deaths in enumerate((0, 1, 5))]
     found = dict(RayRunner(2).run(attempt, tasks))
     assert (found[0], found[1]) == (1, 2)
@@ -201,6 +224,43 @@ def test_a_cluster_gives_the_same_and_begins_again_what_a_lost_worker_had(campai
     shutil.rmtree(campaign / "results")
     midspan.batch(campaign, runner="ray", workers=2)
     pd.testing.assert_frame_equal(alone, rows_of(campaign))
+
+
+def test_a_cluster_of_this_machine_listens_on_loopback_alone(ray_cluster):
+    (node,) = ray_cluster.nodes()
+    assert node["NodeManagerAddress"] == "127.0.0.1"
+    ports = {node["NodeManagerPort"], node["ObjectManagerPort"]}
+    assert {address for address, port in listening() if port in ports} <= {LOOPBACK, LOOPBACK_6}
+    assert node["Resources"]["object_store_memory"] <= 1e8
+
+
+LOOPBACK, LOOPBACK_6 = "0100007F", "0000000000000000FFFF00000100007F"
+
+
+def listening():
+    """Address, as the kernel writes it, and port of each socket that waits for connections."""
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:]:
+            _, own, _, state = line.split()[:4]
+            if state == "0A":
+                yield own.split(":")[0], int(own.split(":")[1], 16)
+
+
+NOTHING_OF_RAY = """
+import sys
+import midspan, midspan.scale.batch, midspan.scale.runners
+from midspan.cli.main import main
+try:
+    main(["batch", "--help"])
+except SystemExit:
+    pass
+midspan.batch(sys.argv[1], runner="process", workers=1)
+assert not [name for name in sys.modules if name.partition(".")[0] == "ray"]
+"""
+
+
+def test_nothing_of_ray_is_imported_without_its_runner(campaign):
+    subprocess.run([sys.executable, "-c", NOTHING_OF_RAY, str(campaign)], check=True, stdout=subprocess.DEVNULL)
 
 
 def test_a_full_disk_ends_a_campaign_with_a_sentence_and_loses_nothing(campaign):

@@ -257,14 +257,14 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     first = first_pass(asked, tracking, progress)
     progress(0, 1, "fusing")
     looks, ran = asked.row.rows is Pass.SMOOTHED, dict[str, OneClock]()
-    wrong = _wrong(first)
+    wrong = wrong_of(first)
     if looks or asked.given:
-        ran = _clocks(replace(first, wrong=wrong))
+        ran = clocks_of(replace(first, wrong=wrong))
         apart = {name for name in wrong if ran_apart(ran[name])}
         if apart:
             # A clock that jumps or drifts explains the values.
             wrong = {name: one for name, one in wrong.items() if name not in apart}
-            ran = _clocks(replace(first, wrong=wrong))
+            ran = clocks_of(replace(first, wrong=wrong))
     if looks:
         first = replace(first, wrong=wrong)
     else:
@@ -311,14 +311,14 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
 MOST = 0.5
 
 
-def _clocks(first: FirstPass) -> dict[str, OneClock]:
+def clocks_of(first: FirstPass) -> dict[str, OneClock]:
     """How the sensors' clocks ran, by the values that are not wrong."""
     main, series = first.sides[0], first.at_instants(0)
     swayed = {name: OneClock(series.pop(name).displacement) for name in first.swayed}
     return swayed | clocks(series, main.acceleration, main.kalman, clocks_shared(main))
 
 
-def _wrong(first: FirstPass) -> dict[str, WrongValues]:
+def wrong_of(first: FirstPass) -> dict[str, WrongValues]:
     """As of `FirstPass`, where the first pass met values that contradict the acceleration."""
     events = [*first.outcome.fusion_events, *first.outcome.sensor_events]
     if not any(event.kind in CONTRADICTS for event in events):

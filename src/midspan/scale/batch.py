@@ -1,7 +1,7 @@
 """A campaign: every recording estimated, what is done skipped, a summary of all."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,21 +11,30 @@ from midspan.checks import instance, option, path_of
 from midspan.errors import MidspanError, UsageError
 from midspan.progress import Progress, silent
 from midspan.scale.jobs import jobs_of
+from midspan.scale.pieces import join, pieces_of, work_piece
 from midspan.scale.runners import RUNNERS, Died
 from midspan.scale.summary import frame_of, write_summary
-from midspan.scale.work import INTERNAL, Outcome, Task, work
+from midspan.scale.work import INTERNAL, Cut, Outcome, Task, work
 from midspan.settings.campaign import load_campaign
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Campaign:
     """What came of a campaign: the folder of its results, and the outcomes in the order of their names."""
 
     output: Path
     outcomes: tuple[Outcome, ...]
+
+    def __repr__(self) -> str:
+        done = sum(not one.exit_code for one in self.outcomes)
+        return f"Campaign({str(self.output)!r}: {done} of {len(self.outcomes)} recordings done)"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the summary."""
+        return self.to_pandas().to_html(index=False, na_rep="")
 
     @property
     def exit_code(self) -> int:
@@ -52,6 +61,9 @@ def batch(
     if workers is not None and instance("workers", workers, int, "a whole number") < 1:
         raise UsageError(f"workers: must be at least 1; received {workers}.")
     settings, folder = load_campaign(path_of("campaign", campaign))
+    if runner == "ray":
+        # A worker of a cluster runs in another folder.
+        folder = folder.absolute()
     output = folder / settings.output
     try:
         output.mkdir(parents=True, exist_ok=True)
@@ -60,18 +72,48 @@ def batch(
     tasks = [Task(job, output) for job in jobs_of(settings, folder)]
     shown = _Shown(len(tasks), progress)
     outcomes: list[Outcome | None] = [None] * len(tasks)
-    with closing(RUNNERS[runner](workers).run(work, tasks)) as results:  # type: ignore[type-var]
-        for number, result in results:
-            outcomes[number] = _outcome(tasks[number], result)
-            shown.one_more()
+    cuts = dict[int, Cut]()
+    for number, result in _run(runner, workers, work, tasks):
+        if isinstance(result, Cut):
+            cuts[number] = result
+            continue
+        outcomes[number] = _outcome(tasks[number], result)
+        shown.one_more()
+    for number, result in _in_pieces(runner, workers, cuts):
+        outcomes[number] = _outcome(tasks[number], result)
+        shown.one_more()
     whole = tuple(one for one in outcomes if one is not None)
     write_summary(output, whole)
     return Campaign(output, whole)
 
 
+def _run(
+    runner: str, workers: int | None, function: Callable[[Any], Any], tasks: Sequence[Any]
+) -> Iterator[tuple[int, Any]]:
+    """Number and result of each task; a MidspanError, as of a full disk, ends all."""
+    if not tasks:
+        return
+    with closing(RUNNERS[runner](workers).run(function, tasks)) as results:  # type: ignore[type-var]
+        for number, result in results:
+            if isinstance(result, MidspanError):
+                raise result
+            yield number, result
+
+
+def _in_pieces(runner: str, workers: int | None, cuts: Mapping[int, Cut]) -> Iterator[tuple[int, Any]]:
+    """The outcomes of long recordings by their numbers: all pieces of all, then each joined."""
+    pieces = [piece for cut in cuts.values() for piece in pieces_of(cut)]
+    died = {}
+    for number, result in _run(runner, workers, work_piece, pieces):
+        if isinstance(result, Died):
+            died[pieces[number].cut.key] = result
+    yield from ((number, died[cut.key]) for number, cut in cuts.items() if cut.key in died)
+    numbers = [number for number, cut in cuts.items() if cut.key not in died]
+    for number, result in _run(runner, workers, join, [cuts[number] for number in numbers]):
+        yield numbers[number], result
+
+
 def _outcome(task: Task, result: Any) -> Outcome:
-    if isinstance(result, MidspanError):
-        raise result
     if isinstance(result, Died):
         return Outcome(task.job.name, INTERNAL, message=str(result))
     assert isinstance(result, Outcome)

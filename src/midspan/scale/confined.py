@@ -8,7 +8,7 @@ from midspan.scale.jobs import Job, files_of, named_files
 from midspan.settings.load import load_settings
 
 # Why a path is refused.
-OUTSIDE = "leads out of the recording's folder, which a campaign does not read."
+OUTSIDE = "leads out of the recording's folder, which a campaign does not read. Copy the file into it."
 HDF5 = (".h5", ".hdf5", ".hdf", ".mat")
 
 
@@ -45,10 +45,14 @@ def _require_no_external_links(path: Path) -> None:
             for name in group:
                 link = group.get(name, getlink=True)
                 if isinstance(link, h5py.ExternalLink):
-                    raise DataError(f"{path}: {name} is a link to another file, which a campaign does not read.")
+                    raise DataError(
+                        f"{path}: {name} is a link to another file, which a campaign does not read. Copy the data."
+                    )
                 own = group.get(name)
                 if isinstance(own, h5py.Dataset) and (own.external or own.is_virtual):
-                    raise DataError(f"{path}: {name} takes its data from other files, which a campaign does not read.")
+                    raise DataError(
+                        f"{path}: {name} takes its data from other files, which a campaign does not read. Copy them."
+                    )
                 if isinstance(own, h5py.Group) and own.id not in seen:
                     seen.add(own.id)
                     pending.append(own)

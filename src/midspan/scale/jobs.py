@@ -18,6 +18,8 @@ from midspan.settings.two_files import Choices
 ACCELEROMETER, VIDEO = "accelerometer", "video"
 # Keys of sections that name files.
 FILE_KEYS = ("file", "times", "config")
+# What makes a name a glob.
+SIGNS = "*?["
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,8 @@ def jobs_of(campaign: CampaignSettings, folder: Path) -> tuple[Job, ...]:
     if campaign.table is not None:
         jobs += [Job(**{**more, **row}) for row in _rows(folder / campaign.table, folder)]
     if not jobs:
-        raise DataError(f"{folder}: no recording matches {', '.join(campaign.recordings) or campaign.table}.")
+        named = ", ".join(campaign.recordings) or campaign.table
+        raise DataError(f"{folder}: no recording matches {named}. A recording is a folder with a {RECORDING_FILE}.")
     names = [job.name for job in jobs]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UsageError(f"The campaign names {', '.join(twice)} twice. Name each recording once.")
@@ -56,7 +59,11 @@ def jobs_of(campaign: CampaignSettings, folder: Path) -> tuple[Job, ...]:
 
 
 def _recordings(patterns: Sequence[str], folder: Path) -> Iterator[Path]:
-    """The recording.toml of globs and folders, each once."""
+    """The recording.toml of globs and folders, each once; DataError where a name that is no glob has none."""
+    for pattern in patterns:
+        path = folder / pattern
+        if not any(sign in pattern for sign in SIGNS) and not (path.is_file() or (path / RECORDING_FILE).is_file()):
+            raise DataError(f"{path}: has no {RECORDING_FILE}. Correct the name in the campaign, or remove it.")
     found = dict.fromkeys(
         path / RECORDING_FILE if path.is_dir() else path
         for pattern in patterns
@@ -120,7 +127,7 @@ def _matching(folder: Path, name: str) -> list[Path]:
     path = folder / name
     if path.is_dir():
         return sorted(one for one in path.iterdir() if one.is_file())
-    if any(sign in name for sign in "*?["):
+    if any(sign in name for sign in SIGNS):
         return sorted(folder.glob(name))
     return [path]
 

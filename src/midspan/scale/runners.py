@@ -1,8 +1,13 @@
 """Where jobs run: in this process, in processes of this machine, on a cluster. Algorithms know none of them."""
 
 import os
+import secrets
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from tempfile import TemporaryDirectory
+from types import ModuleType
 from typing import Any, Protocol
 
 from midspan.errors import MidspanError, UsageError
@@ -11,6 +16,14 @@ from midspan.errors import MidspanError, UsageError
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # A task whose worker died is begun this often at most.
 ATTEMPTS = 2
+# What Ray keeps between tasks, bytes: they take paths and give figures.
+OBJECTS_BYTES = 100_000_000
+# Read by Ray when it is imported; the last one has it listen on loopback, as on other systems.
+OF_THIS_MACHINE = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_AUTH_MODE": "token",
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+}
 PRELOADED = ("midspan.recording.estimate", "midspan.evaluate.result_file", "midspan.sinks.parquet", "pyarrow.parquet")
 
 
@@ -63,8 +76,7 @@ class ProcessRunner:
             while waiting or busy:
                 while waiting and len(busy) < self._workers:
                     number, attempt = waiting.popleft()
-                    pipe, process = idle.pop() if idle else _started(context, function)
-                    pipe.send(tasks[number])
+                    pipe, process = _begun(context, function, idle, tasks[number])
                     busy[pipe] = process, number, attempt
                 ready: list[Any] = wait(list(busy))
                 for pipe in ready:
@@ -90,46 +102,94 @@ class ProcessRunner:
                 process.join()
 
 
+def _begun(context: Any, function: Callable[[Any], Any], idle: list[tuple[Any, Any]], task: Any) -> tuple[Any, Any]:
+    """A worker that has the task: an idle one that lives still, or a new one."""
+    while idle:
+        pipe, process = idle.pop()
+        try:
+            pipe.send(task)
+        except OSError:
+            pipe.close()
+            process.join()
+        else:
+            return pipe, process
+    pipe, process = _started(context, function)
+    pipe.send(task)
+    return pipe, process
+
+
 def _started(context: Any, function: Callable[[Any], Any]) -> tuple[Any, Any]:
     own, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs, function), daemon=True)
-    process.start()
+    # A worker imports the main module of who starts it, which a script without a guard does not bear.
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        process.start()
+    finally:
+        sys.modules["__main__"] = main
     theirs.close()
     return own, process
 
 
 def _serve(pipe: Any, function: Callable[[Any], Any]) -> None:
     import signal
+    from multiprocessing import parent_process
+    from multiprocessing.connection import wait
+    from threading import Thread
 
-    # Ctrl-C is the campaign's; it ends its workers.
+    # Ctrl-C is the campaign's; it ends its workers. They end with it, too, where it is killed.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    assert parent is not None
+    Thread(target=lambda: wait([parent.sentinel]) and os._exit(1), daemon=True).start()
     while True:
         try:
             task = pipe.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return
         try:
             result = function(task)
         except MidspanError as error:
             # As of a full disk: no task goes on.
             result = UsageError(str(error))
-        pipe.send(result)
+        try:
+            pipe.send(result)
+        except OSError:
+            # Another worker's error has ended the campaign.
+            return
 
 
 class RayRunner:
-    """On a cluster of Ray, one processor a task; what a lost worker had is begun again."""
+    """On a cluster of Ray, one processor a task; what a lost worker had is begun again.
+
+    Without RAY_ADDRESS the cluster is this machine, on loopback, with a token of its own, no dashboard and no usage
+    statistics, and its files go at the end.
+    """
 
     def __init__(self, workers: int | None = None) -> None:
+        self._files, address = ExitStack(), os.environ.get("RAY_ADDRESS")
+        if not address and "ray" not in sys.modules:
+            os.environ |= OF_THIS_MACHINE
+            os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
         try:
             import ray
         except ImportError:
             text = 'runner ray: Ray is not installed. Install it with `pip install "midspan[ray]"`.'
             raise UsageError(text) from None
-        self._ray, self._own = ray, not ray.is_initialized()
+        self._ray: Any = ray
+        self._own = not self._ray.is_initialized()
         if self._own:
-            address = os.environ.get("RAY_ADDRESS")
-            size: dict[str, Any] = {"address": address} if address else {"num_cpus": workers or os.cpu_count()}
-            ray.init(include_dashboard=False, log_to_driver=False, configure_logging=False, **size)
+            how = {"address": address} if address else self._of_this_machine(workers)
+            self._ray.init(include_dashboard=False, log_to_driver=False, configure_logging=False, **how)
+
+    def _of_this_machine(self, workers: int | None) -> dict[str, Any]:
+        return {
+            "num_cpus": workers or os.cpu_count(),
+            "object_store_memory": OBJECTS_BYTES,
+            "_node_ip_address": "127.0.0.1",
+            "_temp_dir": self._files.enter_context(TemporaryDirectory(prefix="midspan-", ignore_cleanup_errors=True)),
+        }
 
     def run(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         """Run the tasks as processors are free."""
@@ -152,8 +212,13 @@ class RayRunner:
         finally:
             for pending in numbers:
                 ray.cancel(pending, force=True)
-            if self._own:
-                ray.shutdown()
+            self.close()
+
+    def close(self) -> None:
+        """End what this has started."""
+        if self._own:
+            self._ray.shutdown()
+        self._files.close()
 
 
 RUNNERS: dict[str, Callable[[int | None], Runner]] = {

@@ -21,7 +21,20 @@ th, td { border-bottom: 1px solid #8886; padding: .3rem .6rem; text-align: left;
 td.n { text-align: right; font-variant-numeric: tabular-nums }
 td:last-child { min-width: 24rem }
 tr.bad td:first-child { border-left: 4px solid #c33 }
+@media (max-width: 45rem) {
+thead { display: none }
+table, tbody, tr, td, td.n { display: block; text-align: left }
+tr { border-bottom: 1px solid #8886; padding: .5rem 0 }
+td { border: 0; padding: .1rem .6rem }
+td:empty { display: none }
+td:first-child { font-weight: bold; overflow-wrap: anywhere }
+td:last-child { min-width: 0; overflow-wrap: anywhere }
+td:not(:first-child, :last-child)::before { content: attr(data-name) ": " }
+}
 """
+# How the page calls the columns.
+SHOWN = ("recording", "exit code", "rows", "RMSE, mm", "warnings", "seconds", "message")
+NUMBERS = ("exit code", "rows", "RMSE, mm", "seconds")
 
 
 def frame_of(outcomes: Sequence[Outcome]) -> "pd.DataFrame":
@@ -57,20 +70,23 @@ def write_summary(output: Path, outcomes: Sequence[Outcome]) -> None:
 
 def _page(outcomes: Sequence[Outcome]) -> str:
     failed = sum(one.exit_code != 0 for one in outcomes)
-    head = "".join(f"<th>{escape(name)}</th>" for name in COLUMNS)
+    head = "".join(f"<th>{name}</th>" for name in SHOWN)
     body = "".join(_row(one) for one in sorted(outcomes, key=lambda one: (one.exit_code == 0, one.recording)))
     text = f"{len(outcomes)} recordings, {failed} of them failed or refused; these stand first."
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Campaign</title><style>{STYLE}</style><h1>Campaign</h1><p>{text}</p>"
-        f"<div><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></html>"
+        '<div tabindex="0" role="region" aria-label="Recordings">'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></html>"
     )
 
 
 def _row(one: Outcome) -> str:
     rmse = "" if one.rmse_mm is None else f"{one.rmse_mm:.4g}"
     codes = "; ".join(f"{code} {count}" for code, count in one.warnings.items())
-    numbers = (str(one.exit_code), str(one.rows), rmse)
-    cells = [f"<td>{escape(one.recording)}</td>", *(f'<td class="n">{cell}</td>' for cell in numbers)]
-    cells += [f"<td>{escape(codes)}</td>", f'<td class="n">{one.seconds:.1f}</td>', f"<td>{escape(one.message)}</td>"]
+    values = (one.recording, str(one.exit_code), str(one.rows), rmse, codes, f"{one.seconds:.1f}", one.message)
+    cells = (
+        f'<td data-name="{name}"{" class=n" if name in NUMBERS else ""}>{escape(value)}</td>'
+        for name, value in zip(SHOWN, values, strict=True)
+    )
     return f'<tr class="{"bad" if one.exit_code else "good"}">{"".join(cells)}</tr>'
