@@ -66,7 +66,7 @@ class BankSettings:
     acceleration_std_m_s2: float
     displacement_std_m: float
     slow_std_m: float | None = None
-    slow_time_s: float = 10.0
+    slow_time_s: float = 15.0
     delay_std_s: float = 0.15
     gain_std: float = 0.03
     bias_walk: float = 1e-8
