@@ -115,10 +115,10 @@ impl Noise {
         }
     }
 
-    /// A slow error of this square may have come.
+    /// The zero has shifted by the root of this, and may move as far again.
     pub fn shifted(&mut self, square: f64) {
         if self.slow > 0.0 {
-            self.slow = self.slow.max(square as f32);
+            self.slow = self.slow.max((2.0 * square) as f32);
         }
         self.forget();
     }
