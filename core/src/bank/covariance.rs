@@ -67,11 +67,10 @@ impl Kept {
     #[inline]
     pub fn whole(&self) -> Covariance {
         let mut p = [[0.0; STATES]; STATES];
-        for i in 0..STATES {
-            for j in 0..=i {
-                let k = place(i, j);
-                p[i][j] = if i < T { self.first[k] } else { f64::from(self.others[k - FIRST]) };
-                p[j][i] = p[i][j];
+        for (i, row) in p.iter_mut().enumerate() {
+            for (j, element) in row.iter_mut().enumerate() {
+                let k = place(i.max(j), i.min(j));
+                *element = if k < FIRST { self.first[k] } else { f64::from(self.others[k - FIRST]) };
             }
         }
         Covariance(p)
@@ -102,10 +101,10 @@ impl Covariance {
     #[inline]
     pub fn kept(&self) -> Kept {
         let mut kept = Kept::default();
-        for i in 0..STATES {
-            for j in 0..=i {
-                let (k, element) = (place(i, j), self.0[i][j]);
-                if i < T {
+        for (i, row) in self.0.iter().enumerate() {
+            for (j, &element) in row.iter().enumerate().take(i + 1) {
+                let k = place(i, j);
+                if k < FIRST {
                     kept.first[k] = element;
                 } else {
                     kept.others[k - FIRST] = element as f32;
@@ -117,6 +116,7 @@ impl Covariance {
 
     /// Φ P Φ' + Q after a span; decay: what is left of the slow error.
     #[inline]
+    #[allow(clippy::needless_range_loop)]
     pub fn moved(mut self, span: &Span, decay: f64, walks: &Walks) -> Self {
         let p = &mut self.0;
         let (t, half) = (span.t, 0.5 * span.t * span.t);

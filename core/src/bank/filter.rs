@@ -166,7 +166,7 @@ impl Filter {
     /// Density of the acceleration's noise, (m/s²)²/Hz; step_s: from one sample to the next.
     #[inline]
     fn density(&self, step_s: f64, settings: &Settings) -> f64 {
-        settings.acceleration_std * settings.acceleration_std * step_s * self.noise.colour(settings)
+        settings.acceleration_std * settings.acceleration_std * step_s * self.noise.colour()
     }
 
     /// Begins with a sample: where the structure is, the next measurement tells.
@@ -251,7 +251,7 @@ impl Filter {
     /// Moves the mean to an instant, given what the acceleration has added up to it; the covariance there.
     #[inline]
     fn moved(&mut self, to_ns: i64, added: [f64; 2], density: f64, settings: &Settings) -> Covariance {
-        let walks = settings.walks(density, self.noise.slow_m2());
+        let walks = settings.walks(density, self.noise.slow_m2(settings));
         let span = self.span(to_ns, added);
         let decay = (-span.t / walks.slow_time_s).exp();
         let gained = 1.0 + f64::from(self.aside[1]);
@@ -313,8 +313,8 @@ impl Filter {
     /// The state at the first measurement.
     fn start(&mut self, at_ns: i64, value: f64, settings: &Settings) {
         let mut p = Covariance([[0.0; STATES]; STATES]);
-        let slow = self.noise.slow_m2();
-        p.0[X][X] = self.noise.white_m2() + slow;
+        let slow = self.noise.slow_m2(settings);
+        p.0[X][X] = self.noise.white_m2(settings) + slow;
         (p.0[X][S], p.0[S][X], p.0[S][S]) = (-slow, -slow, slow);
         p.0[V][V] = VELOCITY_STD * VELOCITY_STD;
         p.0[B][B] = BIAS_STD * BIAS_STD;
@@ -336,12 +336,13 @@ impl Filter {
         let h: Vector = [1.0, ahead_s, 0.0, 1.0, -speed, 0.0];
         let pull = interval.motion.input + since_s * interval.motion.slope - self.mean[B];
         let bend = 0.5 * pull * p.0[T][T];
-        let white = self.noise.white_m2() + bend * bend;
+        let white = self.noise.white_m2(settings) + bend * bend;
         let innovation = one.value - self.mean[X] - self.mean[S] - ahead_s * speed;
         let mut ph = p.times(&h);
         let mut predicted = dot(&h, &ph);
         let mut variance = predicted + white;
-        let mut share = noise::sound_share(innovation, variance, self.improbable != 0);
+        let mut share =
+            if settings.as_stated { 1.0 } else { noise::sound_share(innovation, variance, self.improbable != 0) };
         let mut shown = Shown {
             innovation,
             variance,
@@ -361,7 +362,7 @@ impl Filter {
                 self.accepted = 0;
                 return;
             }
-            p = self.shifted(p, innovation);
+            p = self.shifted(p, innovation, settings);
             ph = p.times(&h);
             predicted = dot(&h, &ph);
             variance = predicted + white;
@@ -378,7 +379,7 @@ impl Filter {
         self.covariance = p.with(spread, &ph).kept();
         (self.age_s, self.improbable) = (0.0, 0);
         self.accepted = self.accepted.saturating_add(1);
-        if self.accepted >= FIRST_MEASUREMENTS {
+        if self.accepted >= FIRST_MEASUREMENTS && !settings.as_stated {
             let residual = innovation - by * predicted;
             shown.left = Some(residual * residual + predicted + spread * predicted * predicted - bend * bend);
             self.noise.follow(&Shown { variance, share, ..shown }, settings);
@@ -398,12 +399,12 @@ impl Filter {
 
     /// The covariance where the displacement is not what it was by `off` metres. Where the first improbable innovation
     /// was as large, the sensor's zero has shifted, and may do so again; else the velocity is wrong.
-    fn shifted(&mut self, mut p: Covariance, off: f64) -> Covariance {
+    fn shifted(&mut self, mut p: Covariance, off: f64, settings: &Settings) -> Covariance {
         let square = off * off;
         p.0[X][X] += square;
         if (off - f64::from(self.innovation_m)).abs() < 0.5 * off.abs() {
             p.0[S][S] += square;
-            self.noise.shifted(square);
+            self.noise.shifted(square, settings);
         } else {
             let age = f64::from(self.age_s).max(f64::from(self.step_ns) * NANOSECOND);
             p.0[V][V] += square / (age * age);

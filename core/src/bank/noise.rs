@@ -33,7 +33,8 @@ const OUTLIERS: f64 = 0.02;
 const OUTLIERS_STAY: f64 = 0.6;
 const OUTLIER_WIDTH: f64 = 10.0;
 
-/// Variances of a displacement sensor, m², and the sum of its last innovations in their standard deviations.
+/// Variances of a displacement sensor, in that of its stated noise, and the sum of its last innovations in their
+/// standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Noise {
     white: f32,
@@ -61,26 +62,26 @@ pub struct Shown {
 impl Noise {
     /// As stated.
     pub fn new(settings: &Settings) -> Self {
-        let white = (settings.displacement_std * settings.displacement_std) as f32;
-        Self { white, slow: (settings.slow_std * settings.slow_std) as f32, recent: 0.0 }
+        let slow = settings.slow_std / settings.displacement_std;
+        Self { white: 1.0, slow: (slow * slow) as f32, recent: 0.0 }
     }
 
-    /// Of the white noise.
+    /// Of the white noise, m².
     #[inline]
-    pub fn white_m2(&self) -> f64 {
-        f64::from(self.white)
+    pub fn white_m2(&self, settings: &Settings) -> f64 {
+        f64::from(self.white) * settings.stated_m2()
     }
 
-    /// Of the slow error.
+    /// Of the slow error, m².
     #[inline]
-    pub fn slow_m2(&self) -> f64 {
-        f64::from(self.slow)
+    pub fn slow_m2(&self, settings: &Settings) -> f64 {
+        f64::from(self.slow) * settings.stated_m2()
     }
 
     /// Factor on the density of the acceleration's noise: innovations are coloured by that as well.
     #[inline]
-    pub fn colour(&self, settings: &Settings) -> f64 {
-        (0.25 * self.slow_m2() / (settings.displacement_std * settings.displacement_std)).max(1.0)
+    pub fn colour(&self) -> f64 {
+        (0.25 * f64::from(self.slow)).max(1.0)
     }
 
     /// Forgets the last innovations, which had another cause.
@@ -92,33 +93,32 @@ impl Noise {
     /// far as an innovation does.
     #[inline]
     pub fn follow(&mut self, shown: &Shown, settings: &Settings) {
-        let least = settings.displacement_std * settings.displacement_std;
         let first = if shown.count < FIRST { 1.0 / (f64::from(shown.count) + 1.0) } else { 0.0 };
         let gain = (shown.interval_s / WHITE_S).min(MAX_SHARE).max(first);
         let score = (shown.innovation / shown.variance.sqrt()).clamp(-MAX_SCORE, MAX_SCORE);
         let more = match shown.left {
-            Some(left) => shown.share * (left - self.white_m2()),
+            Some(left) => shown.share * (left - self.white_m2(settings)),
             None => (score * score - 1.0) * shown.variance,
         };
-        self.white = (self.white_m2() + gain * more).max(least) as f32;
+        self.white = (f64::from(self.white) + gain * more / settings.stated_m2()).max(1.0) as f32;
         if self.slow > 0.0 && shown.left.is_some() {
             let recent = f64::from(self.recent);
-            let added = self.slow_m2() * (2.0 * shown.interval_s / settings.slow_time_s).min(1.0);
+            let added = self.slow_m2(settings) * (2.0 * shown.interval_s / settings.slow_time_s).min(1.0);
             let size = SIZE_WEIGHT * (score * score - 1.0) * (added / shown.variance).powi(2);
             let early = if shown.count < u8::MAX { 2.0 } else { 1.0 };
             let gain = early * (COLOUR_GAIN * shown.interval_s).min(MAX_COLOUR_GAIN);
             let by = gain * (shown.share * score * recent + size);
-            self.slow = (self.slow_m2() * (1.0 + by.clamp(-0.5, 1.0)))
-                .clamp(SLOW_RANGE[0] * least, SLOW_RANGE[1] * least) as f32;
+            let [least, most] = SLOW_RANGE;
+            self.slow = (f64::from(self.slow) * (1.0 + by.clamp(-0.5, 1.0))).clamp(least, most) as f32;
             let kept = 1.0 - (shown.interval_s / COLOUR_S).min(1.0 / COLOUR_INTERVALS);
             self.recent = (kept * (recent + shown.share * score)) as f32;
         }
     }
 
     /// The zero has shifted by the root of this, and may move as far again.
-    pub fn shifted(&mut self, square: f64) {
+    pub fn shifted(&mut self, square: f64, settings: &Settings) {
         if self.slow > 0.0 {
-            self.slow = self.slow.max((2.0 * square) as f32);
+            self.slow = self.slow.max((2.0 * square / settings.stated_m2()) as f32).min(SLOW_RANGE[1] as f32);
         }
         self.forget();
     }

@@ -60,6 +60,7 @@ class BankSettings:
     stamps, 0: they are exact. gain_std: of the accelerometer's relative gain error, 0: it is exact. bias_walk: density
     of the bias's random walk, (m/s²)²/s. wait_s: a sensor that is behind is waited for so long. coasting_s, lost_s:
     age of the last accepted measurement from which on rows are coasting and lost; at least 5 and 10 of its intervals.
+    as_stated: the displacement sensor is as stated, so that no measurement is an outlier and its noise is not followed.
     rounded: rows are rounded to what their standard deviation leaves of them.
     """
 
@@ -73,6 +74,7 @@ class BankSettings:
     wait_s: float = 2.0
     coasting_s: float = 0.5
     lost_s: float = 10.0
+    as_stated: bool = False
     rounded: bool = True
 
     def __post_init__(self) -> None:
