@@ -352,7 +352,8 @@ impl Filter {
             count: self.accepted,
         };
         if share < 0.5 {
-            if !self.is_shifted(innovation) {
+            // A value that comes again is no second measurement of a shifted zero.
+            if self.repeats > 0 || !self.is_shifted(innovation) {
                 self.covariance = p.kept();
                 self.noise.follow(&shown, settings);
                 return;

@@ -42,7 +42,7 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// Takes memory for so many rows.
+    /// Takes memory for this many rows.
     pub fn reserve(&mut self, rows: usize) {
         self.displacement.reserve(rows);
         self.std.reserve(rows);

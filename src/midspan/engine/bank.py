@@ -1,7 +1,9 @@
-"""The filters of the points of a group: acceleration and a slow displacement of each to rows, in the core (`core/src/bank`).
+"""The filters of a group's points, from acceleration and a slow displacement to rows, in the core (`core/src/bank`).
 
 Each point has six states: displacement, velocity, bias of the acceleration, slow error of the displacement sensor,
-delay of its stamps, relative error of the accelerometer's gain. Nothing is calibrated before.
+delay of its stamps, relative error of the accelerometer's gain. Nothing is calibrated before. A permanent shift of the
+sensor's zero is reported, covered by the band at first and taken for the new zero within some minutes. A slow error
+that lasts longer than `slow_time_s` shows in part only: the accelerometer does not tell it from a motion.
 """
 
 from dataclasses import dataclass
@@ -136,8 +138,8 @@ class Bank:
         self._bank.push(displacement, blocks.point, blocks.t0_ns, blocks.dt_ns, blocks.count, blocks.values)
 
     def rows(self, until_ns: int) -> GroupRows:
-        """Give the rows that are complete when it is `until_ns`: up to where both sensors reach, and without one that is
-        more than `wait_s` behind. Displacements and velocities are multiples of a power of two that is at most 1/256 of
+        """Give the rows that are complete when it is `until_ns`: up to where both sensors reach, and on without one that
+        is more than `wait_s` behind. Displacements and velocities are multiples of a power of two that is at most 1/256 of
         their standard deviation, which itself is rounded up to seven bits.
         """
         return GroupRows(*self._bank.rows(until_ns))
