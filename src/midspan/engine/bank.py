@@ -139,8 +139,10 @@ class Bank:
 
     def rows(self, until_ns: int) -> GroupRows:
         """Give the rows that are complete when it is `until_ns`: up to where both sensors reach, and on without one that
-        is more than `wait_s` behind. Displacements and velocities are multiples of a power of two that is at most 1/256 of
-        their standard deviation, which itself is rounded up to seven bits.
+        is more than `wait_s` behind.
+
+        Displacements and velocities are multiples of a power of two that is at most 1/256 of their standard deviation;
+        that of the displacement is rounded up to seven bits.
         """
         return GroupRows(*self._bank.rows(until_ns))
 
