@@ -63,7 +63,7 @@ CASES = {
     "outliers": (Sensors(), outliers, 0.93, 2.0),
     "spikes": (Sensors(), spikes, 0.93, 20.0),
     "missing": (Sensors(), missing, 0.93, 1.5),
-    "frozen": (Sensors(), frozen, 0.93, 1.5),
+    "frozen": (Sensors(), frozen, 0.90, 3.0),
     "1 Hz": (Sensors(displacement_hz=1.0), None, 0.93, 4.0),
 }
 

@@ -138,8 +138,8 @@ class Bank:
         self._bank.push(displacement, blocks.point, blocks.t0_ns, blocks.dt_ns, blocks.count, blocks.values)
 
     def rows(self, until_ns: int) -> GroupRows:
-        """Give the rows that are complete when it is `until_ns`: up to where both sensors reach, and on without one that
-        is more than `wait_s` behind.
+        """Give the rows that are complete when it is `until_ns`: up to where both sensors reach, and on without one
+        that is more than `wait_s` behind.
 
         Displacements and velocities are multiples of a power of two that is at most 1/256 of their standard deviation;
         that of the displacement is rounded up to seven bits.
