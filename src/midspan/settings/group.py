@@ -132,7 +132,7 @@ def groups_of(tree: Any, where: str) -> tuple[GroupPlan, ...]:
         place = f"{where}: group {name!r}" if isinstance(name, str) and name else f"{where}: group[{number}]"
         settings = validate(one, place, GroupSettings)
         if len(f"{settings.name}-{settings.points - 1}") > MAX_NAME:
-            raise UsageError(f"{place}: name: must have at most {MAX_NAME} characters with a point's number. Shorten it.")
+            raise UsageError(f"{place}: name: must be shorter: with a point's number at most {MAX_NAME} characters..")
         plans.append(GroupPlan(settings, range(settings.points)))
     return tuple(plans)
 

@@ -253,6 +253,11 @@ class Site:
         return self.settings.name
 
     @property
+    def names(self) -> list[str]:
+        """The names of what is written by one process alone: points and groups."""
+        return [plan.name for plan in (*self.points, *self.groups)]
+
+    @property
     def store(self) -> str:
         """Where its store is: a folder or an address."""
         given = self.settings.store
@@ -309,7 +314,6 @@ def _require_unique(plans: Sequence[PointPlan], axes: Sequence[Sequence[dict[str
     if alike[1] > 1:
         both = " and ".join(repr(plan.name) for plan in plans if plan.name.casefold() == alike[0])
         raise UsageError(f"{where}: point.name: must differ by more than case; received {both}. Rename one.")
-
 
 
 def _require_one_use(plans: Sequence[PointPlan], where: str) -> None:
