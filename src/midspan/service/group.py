@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from midspan.engine.bank import ACCELERATION, DISPLACEMENT, Bank, BankBlocks, BankSettings
+from midspan.engine.bank import Bank, BankBlocks, BankCode, BankSensor, BankSettings
 from midspan.records import NANOSECONDS, Event, GroupRows
 from midspan.service.group_messages import OF_ALL, PointBlocks, Refusals, not_ahead, of_all, of_points
 from midspan.service.group_results import Standings
@@ -21,6 +21,15 @@ MAX_WAITING_BYTES = 256_000_000
 TELL_AGAIN_S = 60.0
 # Of one message of all points at most this many bytes a point: 250 values.
 POINT_BYTES = 1000
+# Kind and text of the event that each code of the bank is.
+EVENTS = {
+    BankCode.LATE: ("late", "Readings came after the rows that they belong to and are left out."),
+    BankCode.OVERFLOW: ("overflow", "Too many readings wait for the other sensor; the oldest are left out."),
+    BankCode.SHIFTED: ("level_shift", "The displacement has shifted for good; the standard deviation includes it."),
+    BankCode.LOST: ("lost", "No displacement is accepted any more."),
+    BankCode.TRACKING: ("returned", "Displacements are accepted again."),
+    BankCode.FROZEN: ("frozen", "The displacement sensor repeats one value, which is left out from now on."),
+}
 
 
 class Inbox:
@@ -88,10 +97,12 @@ class Group:
         """A group that nothing has come for yet, or that goes on from its bank's state."""
         settings = plan.settings
         own = BankSettings(
-            acceleration_noise_m_s2=settings.accelerometer_noise_std * plan.accelerometer_factor,
-            displacement_noise_m=settings.displacement_noise_std * plan.displacement_factor,
+            acceleration_std_m_s2=settings.accelerometer_noise_std * plan.accelerometer_factor,
+            displacement_std_m=settings.displacement_noise_std * plan.displacement_factor,
         )
-        return cls(plan, Bank(len(plan.numbers), own) if state is None else Bank.restored(state, own))
+        bank = None if state is None else Bank.restored(state, own)
+        # A group that has more or fewer points than before begins anew.
+        return cls(plan, bank if bank is not None and len(bank) == len(plan.numbers) else Bank(len(plan.numbers), own))
 
     @property
     def topics(self) -> dict[str, tuple[Inbox, int]]:
@@ -141,7 +152,11 @@ class Group:
         return [one for one in usable if one is not None]
 
     def _events(self) -> list[tuple[str, Event]]:
-        return [(self.name(place), Event(time_ns, code, code)) for place, time_ns, code in self.bank.events()]
+        found = []
+        for place, time_ns, code in self.bank.events():
+            kind, text = EVENTS[code]
+            found.append((self.name(place), Event(time_ns, kind, text)))
+        return found
 
     def _reports(self, now_ns: int) -> list[tuple[str, Event]]:
         """What could not be used since that was last an event of the group."""
@@ -156,8 +171,7 @@ class Group:
 def _in_si(sensor: int, blocks: PointBlocks, factor: float) -> BankBlocks:
     """Blocks as the bank takes them."""
     values = blocks.values if factor == 1.0 else factor * blocks.values.astype(np.float64)
-    kind = (ACCELERATION, DISPLACEMENT)[sensor]
-    return BankBlocks(kind, blocks.point, blocks.t0_ns, blocks.dt_ns, blocks.count, values)
+    return BankBlocks(BankSensor(sensor), blocks.point, blocks.t0_ns, blocks.dt_ns, blocks.count, values)
 
 
 def numbered(rows: GroupRows, numbers: range) -> GroupRows:

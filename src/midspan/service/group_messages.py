@@ -69,7 +69,9 @@ def of_points(kind: int, points: Sequence[int], payloads: Sequence[bytes], refus
         number = np.array([points[place] for place in places], dtype=np.uint32)
         even = length >= HEAD.size and (length - HEAD.size) % 4 == 0
         taken = _table(kind, length, number, of_length, found) if even else np.zeros(len(places), dtype=np.bool_)
-        _read_singly(kind, number[~taken], [of_length[place] for place in np.flatnonzero(~taken)], found, refused)
+        _read_singly(
+            kind, number[~taken], [of_length[place] for place in np.flatnonzero(~taken).tolist()], found, refused
+        )
     return found
 
 
@@ -79,7 +81,7 @@ def _table(
     """Read payloads of one length into `found`; which of them (m,) were blocks as documented."""
     count = (length - HEAD.size) // 4
     table = np.frombuffer(b"".join(payloads), dtype=np.dtype([*FIELDS, ("values", "<f4", (count,))]))
-    good = (table["version"] == VERSION) & (table["kind"] == kind) & (table["n"] == count)
+    good: NDArray[np.bool_] = (table["version"] == VERSION) & (table["kind"] == kind) & (table["n"] == count)
     good &= (table["t0_ns"] >= FIRST_NS) & (table["t0_ns"] <= LAST_NS)
     good &= (table["dt_ns"] > 0) & (table["dt_ns"] <= MAX_STEP_NS)
     if count and good.any():

@@ -16,7 +16,7 @@ from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.alarming import Alarming
 from midspan.service.beginning import begin
-from midspan.service.calibrations import accepted, added, calibrated_folder, loaded
+from midspan.service.calibrations import added, calibrated_folder, loaded
 from midspan.service.changes import Changes
 from midspan.service.changing import end_points, look_at_calibration
 from midspan.service.checking import checked
@@ -39,17 +39,15 @@ from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.retention import archived
 from midspan.service.running import Running, drafted, line_of, sizes_of
+from midspan.service.topic_commands import TopicCommands
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site
 from midspan.store.database import StoreFault
-from midspan.store.store import Batch, open_store
+from midspan.store.store import Batch, Store, open_store
 
 TICK_S, WRITE_S, LOG_S = 0.05, 1.0, 60.0
 # Days are archived, and removed once they are too old, so often.
 SWEEP_S = 3600.0
-COMMANDS = ("calibrate", "accept")
-# Of a command's payload no more bytes are looked at: a calibration's number has fewer.
-MAX_WANTED = 20
 
 
 class Service:
@@ -74,6 +72,8 @@ class Service:
         self._alarms = Alarming(site, say, lambda tree: None if socket is None else socket.publish(tree))
         commands = {**self._alarms.commands, "watch": self._groups.watch}
         self._commands = Commands(self._points, paused, self._event, self._in_thread, commands, self._groups.table)
+        heard = (self._points, self._event, self._publish_event, self._begin, self._in_thread)
+        self._topic_commands = TopicCommands(*heard)
         self._pause(self._points)
         self._broker: Broker | None = None
         self._stop = asyncio.Event()
@@ -200,7 +200,10 @@ class Service:
     def _begin_point(self, one: Running) -> None:
         """A point goes on from its checkpoint, else opens with its calibration, else calibrates; called in a thread."""
         with closing(open_store(self.site.store)) as store:
-            begin(one, store, self.site.file.parent, self._say)
+            self._begin_from(one, store)
+
+    def _begin_from(self, one: Running, store: Store) -> None:
+        begin(one, store, self.site.file.parent, self._say)
 
     def _begin_groups(self) -> None:
         """Groups go on from what the store has of them, those that run already as they are; called in a thread."""
@@ -394,34 +397,7 @@ class Service:
             self._acknowledge.append(acknowledge)
         else:
             acknowledge()
-            name, of_commands, command = ("", "", *topic.split("/"))[-3:]
-            # The broker's session may bring topics of settings before these.
-            if of_commands == "cmd":
-                self._command(name, command, payload[:MAX_WANTED].decode("ascii", "replace").strip())
-
-    def _command(self, name: str, command: str, wanted: str) -> None:
-        """`cmd/calibrate`, or `cmd/accept` with the calibration's number (left out: the newest one offered).
-
-        Each is answered at once with an event; those for no point of the site on the topic of the point that is meant.
-        """
-        one = next((point for point in self._points if point.name == name), None)
-        if one is None:
-            listed = ", ".join(point.name for point in self._points)
-            text = f"{name}: is not a point of this site. Points: {listed}."
-            self._publish_event(name, Event(time.time_ns(), "command", text))
-        elif command == "calibrate":
-            self._event(one, "command", one.live.calibrate())
-        elif command == "accept":
-            self._begin(self._accept(one, wanted))
-        else:
-            self._event(one, "command", f"{name}: cmd/{command} is not a command. Commands: {', '.join(COMMANDS)}.")
-
-    async def _accept(self, one: Running, wanted: str) -> None:
-        number = await asyncio.to_thread(self._with_store, accepted, one.live, wanted)
-        if number is None:
-            self._event(one, "command", f"{one.name}: no calibration {wanted} is offered.".replace("  ", " "))
-        else:
-            one.live.calibrated(number)
+            self._topic_commands.came(topic, payload)
 
     def _event(self, one: Running, kind: str, text: str) -> None:
         now = Event(time.time_ns(), kind, text)
@@ -528,8 +504,9 @@ class Service:
         """What groups gave, to the log, the broker and viewers."""
         for name, event in given.events:
             self._publish_event(name, event)
-        for name, body in given.frames if self._socket is not None else ():
-            self._socket.publish({"kind": "rows", "point": name}, body)
+        if self._socket is not None:
+            for name, body in given.frames:
+                self._socket.publish({"kind": "rows", "point": name}, body)
 
     def _publish_head(self, one: Running) -> None:
         """The newest row of a point whose rows come later, before it is final: for viewers, one a tick at most."""
