@@ -11,13 +11,14 @@ import numpy as np
 from midspan.engine.point import PointStatus
 from midspan.errors import MidspanError
 from midspan.records import Event, GroupRows
-from midspan.service.group import Group, GroupSecond, Inbox
+from midspan.service.group import Group, GroupSecond, Inbox, numbered
 from midspan.service.group_results import WHY, joined_runs, result_blocks, state_payload
 from midspan.service.live_socket import ROW, Tree
 from midspan.service.mqtt import Broker
 from midspan.service.reasons import sentence
 from midspan.settings.group import GroupPlan
 from midspan.settings.site import Site
+from midspan.store.group_rows import GroupChunk
 from midspan.store.store import Batch, Store
 
 # Events of single points of a group a second at most; of more the group has one that counts them.
@@ -60,7 +61,7 @@ class Groups:
     def _begun(self, plan: GroupPlan, before: Group | None, store: Store) -> Group:
         if before is not None and before.plan == plan:
             return before
-        kept = getattr(store, "group_checkpoint", lambda _: None)(plan.name)
+        kept = store.group_checkpoint(plan.key)
         fresh = Group.begun(plan, None if kept is None else kept[1])
         if before is not None and before.topics.keys() == fresh.topics.keys():
             # What came and was not read yet is not lost.
@@ -147,7 +148,10 @@ def _counts(one: Group) -> Any:
 
 def _batch(one: Group, second: GroupSecond, events: Sequence[tuple[str, Event]]) -> Batch:
     """What is kept at once: rows, and the state of the bank after them."""
-    return Batch(events=events)
+    rows = numbered(second.rows, one.plan.numbers)
+    chunk = GroupChunk(one.plan.name, rows, (one.until_ns, second.state), one.plan.part)
+    # Nothing came: the state is kept already.
+    return Batch(events=events, groups=[chunk] if second.receipts or len(rows.point) else [])
 
 
 def _fewer(group: str, events: Sequence[tuple[str, Event]]) -> list[tuple[str, Event]]:

@@ -1,6 +1,7 @@
 """The shell of a live site's points: the only place with a clock, threads and an event loop above the engine."""
 
 import asyncio
+import itertools
 import json
 import math
 import time
@@ -45,7 +46,7 @@ from midspan.settings.site import Site
 from midspan.store.database import StoreFault
 from midspan.store.store import Batch, Store, open_store
 
-TICK_S, WRITE_S, LOG_S = 0.05, 1.0, 60.0
+TICK_S, FIRST_S, WRITE_S, LOG_S = 0.05, 0.25, 1.0, 60.0
 # Days are archived, and removed once they are too old, so often.
 SWEEP_S = 3600.0
 
@@ -432,8 +433,9 @@ class Service:
         return [one for one in self._points if not one.beginning]
 
     async def _writing(self) -> None:
-        while True:
-            await asyncio.sleep(WRITE_S)
+        # Soon first: after a restart what the broker has kept is there at once.
+        for pause_s in itertools.chain((FIRST_S,), itertools.repeat(WRITE_S)):
+            await asyncio.sleep(pause_s)
             done = self._collect()
             self._show(await asyncio.to_thread(self._groups.second, time.time_ns(), self._broker))
             await asyncio.to_thread(self._keeper.write)

@@ -88,6 +88,16 @@ class GroupPlan:
         return self.settings.name
 
     @property
+    def part(self) -> str:
+        """Which part of the group it is, empty for all of it."""
+        return "" if self.numbers.step == 1 else f"{self.numbers.start} {self.numbers.step}"
+
+    @property
+    def key(self) -> str:
+        """What one process alone writes: the group, or its part."""
+        return f"{self.name} {self.part}".strip()
+
+    @property
     def accelerometer_factor(self) -> float:
         """m/s² in one unit of the accelerations."""
         return factor_to_si(self.settings.accelerometer_unit, "acceleration") or 1.0

@@ -255,7 +255,7 @@ class Site:
     @property
     def names(self) -> list[str]:
         """The names of what is written by one process alone: points and groups."""
-        return [plan.name for plan in (*self.points, *self.groups)]
+        return [*(plan.name for plan in self.points), *(plan.key for plan in self.groups)]
 
     @property
     def store(self) -> str:
