@@ -71,12 +71,19 @@ class Publisher:
         self._socket.sendall(b"\x10\x13\x00\x04MQTT\x04\x02\x00\x3c\x00\x07sensors")
         self._socket.recv(4)
         self._number = 0
-        threading.Thread(target=self._drain, daemon=True).start()
+        self._draining = threading.Thread(target=self._drain, daemon=True)
+        self._draining.start()
 
     def _drain(self) -> None:
         with contextlib.suppress(OSError):
             while self._socket.recv(65_536):
                 pass
+
+    def close(self) -> None:
+        """Leave."""
+        self._socket.shutdown(socket.SHUT_RDWR)
+        self._draining.join()
+        self._socket.close()
 
     def publish(self, messages: Iterable[tuple[str, bytes]]) -> None:
         """Send messages, one after another."""
