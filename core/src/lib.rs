@@ -4,6 +4,7 @@
 //! words them. Each file opens with what it computes and from which equation. `py` converts arrays and errors and
 //! computes nothing.
 
+pub mod bank;
 pub mod estimator;
 pub mod likelihood;
 pub mod packed;
@@ -32,6 +33,7 @@ pub enum Status {
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    py::bank::register(module)?;
     py::likelihood::register(module)?;
     py::scene::register(module)?;
     py::signals::register(module)?;

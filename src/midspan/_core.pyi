@@ -110,6 +110,35 @@ class Estimator:
     def logged_filters(self) -> list[int]: ...
     def logged_samples(self) -> tuple[NDArray[np.int64], Floats, Floats, NDArray[np.uint8]] | None: ...
 
+Runs = tuple[
+    NDArray[np.uint32],
+    NDArray[np.int64],
+    NDArray[np.int64],
+    NDArray[np.uint32],
+    NDArray[np.uint8],
+    Floats,
+    Floats,
+    Floats,
+]
+
+class Bank:
+    def __init__(self, points: int, settings: object) -> None: ...
+    def __len__(self) -> int: ...
+    def push(
+        self,
+        displacement: bool,
+        point: NDArray[np.uint32],
+        t0_ns: NDArray[np.int64],
+        dt_ns: NDArray[np.int64],
+        count: NDArray[np.uint32],
+        values: Floats | Floats32,
+    ) -> None: ...
+    def rows(self, until_ns: int) -> Runs: ...
+    def events(self) -> list[tuple[int, int, int]]: ...
+    def state(self) -> bytes: ...
+    @staticmethod
+    def restored(state: bytes, settings: object) -> Bank: ...
+
 class PrintedFilter:
     def __init__(
         self,

@@ -1,6 +1,7 @@
 //! What Python sees: arrays become slices and results become arrays; nothing is computed here.
 
 pub mod arrays;
+pub mod bank;
 pub mod chain;
 pub mod estimator;
 pub mod features;

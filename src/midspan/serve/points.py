@@ -144,16 +144,17 @@ COMMANDED = declared(401, 403, 404, 409, 422)
 
 
 @routes.get("", response_model=list[PointState], dependencies=READ, responses=declared(401, 403))
-async def points(serving: Shared) -> list[Tree]:
-    """All points of the site."""
-    return [await point_state(serving, name) for name in await serving.points()]
+async def points(serving: Shared, of_groups: Annotated[int | None, Query(ge=0)] = None) -> list[Tree]:
+    """All points of the site; of_groups: of each group this many at most, first those with a reason."""
+    own = [await point_state(serving, name) for name in await serving.points()]
+    return [*own, *await serving.groups.states(of_groups)]
 
 
 @routes.get("/{name}", response_model=PointState, dependencies=READ, responses=OF_A_POINT)
 async def point(name: str, serving: Shared) -> Tree:
     """One point."""
     await serving.require_point(name)
-    return await point_state(serving, name)
+    return await serving.groups.state(name) or await point_state(serving, name)
 
 
 @routes.get(

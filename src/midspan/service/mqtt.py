@@ -6,11 +6,11 @@ import secrets
 import ssl
 import sys
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,6 +30,8 @@ MAX_QUEUED = 10_000
 # Messages that the broker may have on their way to us: all that MQTT allows. They are acknowledged once a second, and
 # with a broker's own limit (Mosquitto's is 20) no more than that would come in a second.
 MAX_UNACKNOWLEDGED = 65_535
+# Topics of one packet that subscribes to them.
+MAX_SUBSCRIBED = 1000
 # The pause before the next attempt where another service with our name ended the connection, s: doubled each time, so
 # that the two do not end each other once a second.
 NAME_TAKEN_S, MAX_NAME_TAKEN_S = 30, 960
@@ -55,12 +57,20 @@ def tls_context(settings: MqttSettings, folder: Path) -> ssl.SSLContext | None:
     return context
 
 
+class Bulk(Protocol):
+    """Where messages of topics go that are read together; called from the broker's thread."""
+
+    def put(self, place: int, payload: bytes, receipt: tuple[int, int]) -> bool:
+        """Queue a message; receipt: what it is acknowledged with later. Whether there was room: it is lost if not."""
+
+
 class Broker:
     """A connection that is opened again when it is lost.
 
     taken: called from its thread with topic, payload and a function that acknowledges the message, once what came of it
-    is kept. folder: that the certificates' names are relative to. announced: whole topics and what
-    is retained there. Raises UsageError for a certificate that is none.
+    is kept; bulk: topics whose messages go elsewhere, with their place there. folder: that the certificates' names are
+    relative to. announced: whole topics and what is retained there. max_bytes: of a message. Raises UsageError for a
+    certificate that is none.
     """
 
     def __init__(
@@ -71,6 +81,8 @@ class Broker:
         taken: Callable[[str, bytes, Callable[[], None]], None],
         folder: Path = Path(),
         announced: Mapping[str, str] | None = None,
+        bulk: Mapping[str, tuple[Bulk, int]] | None = None,
+        max_bytes: int = MAX_BYTES,
     ) -> None:
         import paho.mqtt.client as mqtt
         from paho.mqtt.enums import CallbackAPIVersion
@@ -79,7 +91,7 @@ class Broker:
 
         self.connected, self._reason = False, "starting"
         self._settings, self._topics, self._taken = settings, dict(topics), taken
-        self._announced = dict(announced or {})
+        self._announced, self._bulk = dict(announced or {}), dict(bulk or {})
         # Topics of which nothing is to be retained any more, which the broker does not know yet.
         self._cleared: set[str] = set()
         self.root = f"{settings.prefix}/v1/{site}"
@@ -99,7 +111,7 @@ class Broker:
         self._session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         self._session.SessionExpiryInterval = SESSION_S
         self._session.ReceiveMaximum = MAX_UNACKNOWLEDGED
-        self._session.MaximumPacketSize = MAX_BYTES
+        self._session.MaximumPacketSize = max_bytes
         # Which process holds the site's name is a retained message: brokers do not say who ended a connection.
         self._own, self._holder = secrets.token_hex(8).encode(), f"{self.root}/service"
         self._connections, self._connected_s, self._pause_s = 0, 0.0, NAME_TAKEN_S
@@ -128,22 +140,32 @@ class Broker:
         )
         self._client.loop_start()
 
-    def change(self, topics: Mapping[str, int], announced: Mapping[str, str], removed: Collection[str] = ()) -> None:
+    def change(
+        self,
+        topics: Mapping[str, int],
+        announced: Mapping[str, str],
+        removed: Collection[str] = (),
+        bulk: Mapping[str, tuple[Bulk, int]] | None = None,
+    ) -> None:
         """Listen to these topics in place of those before, and retain these announcements. removed: names of points of
         which nothing is to be retained any more.
         """
         old, fresh = self._topics.keys() - topics.keys(), topics.items() - self._topics.items()
         new = dict(announced.items() - self._announced.items())
         self._cleared |= (self._announced.keys() - announced.keys()) | {f"{self.root}/{one}/state" for one in removed}
-        self._topics, self._announced = dict(topics), dict(announced)
+        self._topics, self._announced, self._bulk = dict(topics), dict(announced), dict(bulk or {})
         if not self.connected:
             # The next connection does the rest.
             return
         if old:
             self._client.unsubscribe(list(old))
-        if fresh:
-            self._client.subscribe(list(fresh))
+        self._subscribe(list(fresh))
         self._retain(new)
+
+    def _subscribe(self, topics: Sequence[tuple[str, int]]) -> None:
+        """Listen to topics, in packets that a broker takes."""
+        for first in range(0, len(topics), MAX_SUBSCRIBED):
+            self._client.subscribe(list(topics[first : first + MAX_SUBSCRIBED]))
 
     def _retain(self, announced: Mapping[str, str]) -> None:
         """Retain announcements, and clear what is to be retained no more: with an empty message, as MQTT has it."""
@@ -167,6 +189,17 @@ class Broker:
         if self.connected or qos:
             self._client.publish(f"{self.root}/{topic}", payload, qos=qos, retain=retain)
 
+    def publish_all(self, messages: Sequence[tuple[str, bytes | str]], *, qos: int = 0, retain: bool = False) -> None:
+        """Send messages below the site's topic, as `publish` does one; called in any thread."""
+        for topic, payload in messages:
+            self.publish(topic, payload, qos=qos, retain=retain)
+
+    def acknowledge(self, receipts: Sequence[tuple[int, int]]) -> None:
+        """Acknowledge messages of topics that are read together; those of an earlier connection come again."""
+        for connection, number in receipts:
+            if connection == self._connections and number:
+                self._client.ack(number, 1)
+
     def deliver(self, topic: str, payload: bytes, *, retain: bool, wait_s: float) -> Any:
         """Send below the site's topic; what is returned says by `is_published()` whether the broker has it, for which
         this waits so long. Raises OSError where the broker is away.
@@ -188,7 +221,7 @@ class Broker:
         client.reconnect_delay_set(AGAIN_S, AGAIN_S)
         self.connected, self._reason, self._connected_s = True, "", time.monotonic()
         self._connections += 1
-        client.subscribe([(self._holder, 1), *self._topics.items()])
+        self._subscribe([(self._holder, 1), *self._topics.items()])
         client.publish(self._holder, self._own, qos=1, retain=True)
         self._retain(self._announced)
         self.publish("available", "online", qos=1, retain=True)
@@ -204,8 +237,12 @@ class Broker:
         self.connected = False
 
     def _came(self, client: Any, _data: Any, message: Any) -> None:
-        number, qos = message.mid, message.qos
-        if message.topic == self._holder:
+        number, qos, topic = message.mid, message.qos, message.topic
+        if (place := self._bulk.get(topic)) is not None:
+            if not place[0].put(place[1], message.payload, (self._connections, number if qos else 0)) and qos:
+                client.ack(number, qos)
+            return
+        if topic == self._holder:
             client.ack(number, qos)
             # At the first connection it is a process that ended, most likely our own before a restart.
             if message.retain and message.payload != self._own and self._connections > 1:
@@ -213,7 +250,7 @@ class Broker:
                 client.reconnect_delay_set(self._pause_s, self._pause_s)
                 self._reason, self._pause_s = "name_taken", min(2 * self._pause_s, MAX_NAME_TAKEN_S)
             return
-        self._taken(message.topic, bytes(message.payload), lambda: client.ack(number, qos) if qos else None)
+        self._taken(topic, bytes(message.payload), lambda: client.ack(number, qos) if qos else None)
 
 
 def even_parts(rows: Chunk) -> list[Chunk]:

@@ -1,0 +1,418 @@
+//! The filter of one point: six states, moved by the acceleration and corrected by the displacement sensor.
+//!
+//! x'' = (1 + g) (a − b) with the measured acceleration a, and y(t) = x(t − τ) + s(t) + noise. Mean and covariance
+//! stand at the instant of the last measurement; what the acceleration adds since is integrated sample by sample, as
+//! in `estimator::motion`, so that a row is a polynomial in the time since (see `covariance`).
+
+use super::covariance::{B, Covariance, G, Kept, S, STATES, Span, T, V, Vector, Walks, X, dot};
+use super::events::{Code, Event};
+use super::noise::{self, Noise};
+use super::queue::{Queue, Reading};
+use super::rows::Row;
+use super::settings::Settings;
+use crate::Status;
+use crate::estimator::motion::{AxisMotion, GAP_STEPS, Response, lead_of};
+use serde::{Deserialize, Serialize};
+
+/// No instant.
+const NEVER: i64 = i64::MIN;
+const SECOND: f64 = 1e9;
+/// Standard deviations of velocity (m/s) and bias (m/s²) before any measurement.
+const VELOCITY_STD: f64 = 0.3;
+const BIAS_STD: f64 = 0.3;
+/// Rows begin with this many accepted measurements.
+const FIRST_MEASUREMENTS: u8 = 8;
+/// This many improbable measurements in a row are no outliers.
+const SHIFTED: u8 = 5;
+/// A value that was measured this many times in a row is no measurement any more.
+const FROZEN: u8 = 10;
+/// Rows end this long after a point was lost, s; what is begun anew after that long.
+const ROWS_LOST_S: f64 = 30.0;
+/// Ages in intervals of the displacement sensor from which on rows are coasting and lost.
+const COASTING_INTERVALS: f64 = 5.0;
+const LOST_INTERVALS: f64 = 10.0;
+/// The mean square of the acceleration is followed over this time, s.
+const ENERGY_S: f64 = 10.0;
+/// A sample this many standard deviations of the acceleration off waits for the next one to confirm it.
+const SPIKE: f64 = 8.0;
+/// Unknown acceleration is taken to be no slower than this, Hz.
+const SLOWEST_HZ: f64 = 1.0;
+/// Share of single samples far off that are true.
+const TRUE_SPIKES: f64 = 0.01;
+/// A measurement of an instant this many samples before the last one is late.
+const LATE_STEPS: i64 = 2;
+
+/// What a point remembers besides what waits.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Filter {
+    /// x, v, b and s at the anchor.
+    mean: [f64; 4],
+    covariance: Kept,
+    /// Displacement and velocity that the acceleration has added since the anchor, up to the last sample.
+    added: [f64; 2],
+    /// The last sample, m/s², and the slope before it, m/s³.
+    input: f64,
+    slope: f64,
+    #[serde(with = "postcard::fixint::le")]
+    at_ns: i64,
+    #[serde(with = "postcard::fixint::le")]
+    anchor_ns: i64,
+    #[serde(with = "postcard::fixint::le")]
+    stamped_ns: i64,
+    #[serde(with = "postcard::fixint::le")]
+    step_ns: u32,
+    #[serde(with = "postcard::fixint::le")]
+    interval_ns: u32,
+    #[serde(with = "postcard::fixint::le")]
+    last_bits: u32,
+    /// τ and g.
+    aside: [f32; 2],
+    /// From the last accepted measurement to the anchor, s.
+    age_s: f32,
+    noise: Noise,
+    /// Mean square of the acceleration without its bias, (m/s²)².
+    energy: f32,
+    /// What a sample that waits to be confirmed was off by, m/s².
+    unconfirmed: f32,
+    repeats: u8,
+    improbable: u8,
+    accepted: u8,
+    lost: bool,
+}
+
+/// From one sample to the next.
+struct Interval {
+    motion: AxisMotion,
+    end_ns: i64,
+    walks: Walks,
+}
+
+impl Filter {
+    /// Before the first sample.
+    pub fn new(settings: &Settings) -> Self {
+        Self {
+            mean: [0.0; 4],
+            covariance: Kept::default(),
+            added: [0.0; 2],
+            input: 0.0,
+            slope: 0.0,
+            at_ns: NEVER,
+            anchor_ns: NEVER,
+            stamped_ns: NEVER,
+            step_ns: 0,
+            interval_ns: 0,
+            last_bits: 0,
+            aside: [0.0; 2],
+            age_s: 0.0,
+            noise: Noise::new(settings),
+            energy: (settings.acceleration_std * settings.acceleration_std) as f32,
+            unconfirmed: 0.0,
+            repeats: 0,
+            improbable: 0,
+            accepted: 0,
+            lost: false,
+        }
+    }
+
+    /// The last sample's stamp.
+    pub fn sampled_ns(&self) -> Option<i64> {
+        Some(self.at_ns).filter(|&at| at != NEVER)
+    }
+
+    /// The last measurement's stamp.
+    pub fn stamped_ns(&self) -> Option<i64> {
+        Some(self.stamped_ns).filter(|&at| at != NEVER)
+    }
+
+    /// The stamp that the displacement sensor gives to an instant.
+    #[inline]
+    pub fn stamp_of(&self, time_ns: i64) -> i64 {
+        time_ns.saturating_add((f64::from(self.aside[0]) * SECOND) as i64)
+    }
+
+    /// Goes on to a sample with the measurements up to it; its row, where there is one.
+    #[inline]
+    pub fn run(
+        &mut self,
+        sample: &Reading,
+        waiting: &mut Queue,
+        settings: &Settings,
+        out: &mut Vec<Event>,
+    ) -> Option<Row> {
+        if self.at_ns == NEVER || sample.time_ns - self.at_ns > (ROWS_LOST_S * SECOND) as i64 {
+            self.begin(sample);
+            return None;
+        }
+        if 2 * (sample.time_ns - self.at_ns) < sample.step_ns {
+            return None;
+        }
+        let until_ns = self.stamp_of(sample.time_ns);
+        let interval = self.interval(sample, settings);
+        while let Some(one) = waiting.take(until_ns) {
+            self.measure(&one, &interval, settings, out);
+        }
+        self.end(interval, settings);
+        self.row(settings, out)
+    }
+
+    /// Begins with a sample: where the structure is, the next measurement tells.
+    fn begin(&mut self, sample: &Reading) {
+        (self.at_ns, self.input, self.slope) = (sample.time_ns, sample.value, 0.0);
+        self.step_ns = u32::try_from(sample.step_ns).unwrap_or(u32::MAX);
+        (self.accepted, self.improbable, self.unconfirmed) = (0, 0, 0.0);
+        self.mean[B] = sample.value;
+    }
+
+    /// The interval up to a sample; what is unknown of the acceleration in it is noise.
+    #[inline]
+    fn interval(&mut self, sample: &Reading, settings: &Settings) -> Interval {
+        let dt_ns = sample.time_ns - self.at_ns;
+        let (dt, step) = (dt_ns as f64 / SECOND, sample.step_ns as f64 / SECOND);
+        let white = settings.acceleration_std * settings.acceleration_std * step;
+        let is_gap = dt > GAP_STEPS * step;
+        let density = if is_gap { white + f64::from(self.energy) / SLOWEST_HZ } else { white };
+        let walks = settings.walks(density, self.noise.slow_m2());
+        if self.accepted > 0 && (is_gap || i64::from(self.step_ns) != sample.step_ns) {
+            let before = self.step_ns as f64 / SECOND * settings.acceleration_std * settings.acceleration_std;
+            self.anchor(self.at_ns, self.added, &Walks { density: before, ..walks });
+        }
+        self.step_ns = u32::try_from(sample.step_ns).unwrap_or(u32::MAX);
+        let value = self.confirmed(sample.value, dt, &walks);
+        let lead = |dt: f64| if is_gap { 0.0 } else { lead_of(dt) };
+        let mut motion = AxisMotion { input: self.input, slope: self.slope, lead: lead(step) };
+        self.added[1] += motion.begin(value, dt, lead(dt));
+        Interval { motion, end_ns: sample.time_ns, walks }
+    }
+
+    /// The sample, or the one before it where it is far off and the next one has still to confirm it.
+    #[inline]
+    fn confirmed(&mut self, value: f64, dt: f64, walks: &Walks) -> f64 {
+        let (off, energy) = (value - self.mean[B], f64::from(self.energy));
+        let square = off * off;
+        self.energy += ((dt / ENERGY_S).min(1.0) * (square.min(1000.0 * energy) - energy)) as f32;
+        self.energy = self.energy.max((walks.density * 1e-3) as f32);
+        let before = f64::from(self.unconfirmed);
+        let step = value - self.input;
+        if before != 0.0 {
+            self.unconfirmed = 0.0;
+            if step * before > 0.5 * before * before {
+                // Confirmed: what it was taken for too little is made up for.
+                self.added[0] += before * dt * dt;
+                self.added[1] += before * dt;
+            } else if self.accepted > 0 {
+                self.anchor(self.at_ns, self.added, walks);
+                let mut p = self.covariance.whole();
+                p.0[V][V] += TRUE_SPIKES * before * before * dt * dt;
+                self.covariance = p.kept();
+            }
+            return value;
+        }
+        if square > SPIKE * SPIKE * energy && step * step > 0.25 * square {
+            self.unconfirmed = step as f32;
+            return self.input;
+        }
+        value
+    }
+
+    /// Displacement and velocity that the acceleration has added since the anchor up to an instant of an interval.
+    #[inline]
+    fn added_to(&self, to_ns: i64, interval: &Interval) -> [f64; 2] {
+        let from_s = (self.at_ns.max(self.anchor_ns) - self.at_ns) as f64 / SECOND;
+        let to_s = (to_ns - self.at_ns) as f64 / SECOND;
+        let (before, after): (Response, Response) = (interval.motion.response(from_s), interval.motion.response(to_s));
+        let dt = to_s - from_s;
+        let [place, speed] = self.added;
+        [place + dt * speed + (after.x - before.x - dt * before.v), speed + (after.v - before.v)]
+    }
+
+    /// Moves mean and covariance to an instant, given what the acceleration has added up to it.
+    fn anchor(&mut self, to_ns: i64, added: [f64; 2], walks: &Walks) {
+        let span = self.span(to_ns, added);
+        let decay = (-span.t / walks.slow_time_s).exp();
+        self.covariance = self.covariance.whole().moved(&span, decay, walks).kept();
+        let gained = 1.0 + f64::from(self.aside[1]);
+        self.mean[X] += span.t * self.mean[V] + gained * span.displacement;
+        self.mean[V] += gained * span.velocity;
+        self.mean[S] *= decay;
+        self.age_s += span.t as f32;
+        (self.anchor_ns, self.added) = (to_ns, [0.0; 2]);
+    }
+
+    /// The time from the anchor to an instant, given what the acceleration has added in it.
+    #[inline]
+    fn span(&self, to_ns: i64, added: [f64; 2]) -> Span {
+        let t = (to_ns - self.anchor_ns) as f64 / SECOND;
+        let b = self.mean[B];
+        Span { t, displacement: added[0] - 0.5 * t * t * b, velocity: added[1] - t * b }
+    }
+
+    /// Takes a measurement whose instant lies in an interval.
+    fn measure(&mut self, one: &Reading, interval: &Interval, settings: &Settings, out: &mut Vec<Event>) {
+        self.stamped_ns = one.time_ns;
+        self.interval_ns = u32::try_from(one.step_ns).unwrap_or(u32::MAX);
+        if self.is_frozen(one, out) {
+            return;
+        }
+        let instant_ns = one.time_ns.saturating_sub(self.stamp_of(0));
+        let from_ns = if self.accepted > 0 { self.at_ns.max(self.anchor_ns) } else { self.at_ns };
+        if instant_ns < self.at_ns.saturating_sub(LATE_STEPS * i64::from(self.step_ns)) {
+            if self.accepted > 0 {
+                out.push(Event { time_ns: one.time_ns, code: Code::Late });
+            }
+            return;
+        }
+        let at_ns = instant_ns.clamp(from_ns, interval.end_ns);
+        if self.accepted == 0 {
+            self.start(at_ns, one.value, settings);
+        } else {
+            self.correct(one, at_ns, interval, out);
+        }
+    }
+
+    fn is_frozen(&mut self, one: &Reading, out: &mut Vec<Event>) -> bool {
+        let bits = one.value.to_bits();
+        let bits = (bits ^ (bits >> 32)) as u32;
+        self.repeats = if bits == self.last_bits { self.repeats.saturating_add(1) } else { 0 };
+        self.last_bits = bits;
+        if self.repeats == FROZEN {
+            out.push(Event { time_ns: one.time_ns, code: Code::Frozen });
+        }
+        self.repeats >= FROZEN
+    }
+
+    /// The state at the first measurement.
+    fn start(&mut self, at_ns: i64, value: f64, settings: &Settings) {
+        let mut p = Covariance([[0.0; STATES]; STATES]);
+        let slow = self.noise.slow_m2();
+        p.0[X][X] = self.noise.white_m2() + slow;
+        (p.0[X][S], p.0[S][X], p.0[S][S]) = (-slow, -slow, slow);
+        p.0[V][V] = VELOCITY_STD * VELOCITY_STD;
+        p.0[B][B] = BIAS_STD * BIAS_STD;
+        p.0[T][T] = settings.delay_std_s * settings.delay_std_s;
+        p.0[G][G] = settings.gain_std * settings.gain_std;
+        self.mean = [value, 0.0, self.input, 0.0];
+        (self.covariance, self.added) = (p.kept(), [0.0; 2]);
+        (self.anchor_ns, self.accepted, self.age_s) = (at_ns, 1, 0.0);
+    }
+
+    /// Corrects the state by a measurement: a mixture of one of the stated noise and an outlier, matched in mean and
+    /// covariance.
+    fn correct(&mut self, one: &Reading, at_ns: i64, interval: &Interval, out: &mut Vec<Event>) {
+        let added = self.added_to(at_ns, interval);
+        self.anchor(at_ns, added, &interval.walks);
+        let since_s = (at_ns - self.at_ns) as f64 / SECOND;
+        let ahead_s = (one.time_ns - at_ns) as f64 / SECOND - f64::from(self.aside[0]);
+        let speed = self.mean[V] - interval.motion.ahead();
+        let h: Vector = [1.0, ahead_s, 0.0, 1.0, -speed, 0.0];
+        let mut p = self.covariance.whole();
+        let pull = interval.motion.input + since_s * interval.motion.slope - self.mean[B];
+        let bend = 0.5 * pull * p.0[T][T];
+        let white = self.noise.white_m2() + bend * bend;
+        let innovation = one.value - self.mean[X] - self.mean[S] - ahead_s * speed;
+        let mut ph = p.times(&h);
+        let mut variance = dot(&h, &ph) + white;
+        let mut share = noise::sound_share(innovation, variance);
+        if share < 0.5 {
+            self.improbable += 1;
+            if self.improbable >= SHIFTED {
+                self.improbable = 0;
+                p = self.shifted(p, innovation);
+                ph = p.times(&h);
+                variance = dot(&h, &ph) + white;
+                share = noise::sound_share(innovation, variance);
+                out.push(Event { time_ns: one.time_ns, code: Code::Shifted });
+            }
+        }
+        let by = share * innovation / variance;
+        for (state, change) in self.mean.iter_mut().zip(&ph) {
+            *state += by * change;
+        }
+        self.aside[0] = (f64::from(self.aside[0]) + by * ph[T]).clamp(-1.0, 1.0) as f32;
+        self.aside[1] = (f64::from(self.aside[1]) + by * ph[G]).clamp(-0.5, 0.5) as f32;
+        let spread = share * (1.0 - share) * innovation * innovation - share * variance;
+        p = p.with(spread / (variance * variance), &ph);
+        self.covariance = p.kept();
+        if share >= 0.5 {
+            (self.improbable, self.age_s) = (0, 0.0);
+            self.accepted = self.accepted.saturating_add(1);
+            if self.accepted >= FIRST_MEASUREMENTS {
+                let residual = innovation - by * dot(&h, &ph);
+                let left = residual * residual + dot(&h, &p.times(&h)) - bend * bend;
+                let slow = self.mean[S] * self.mean[S] + p.0[S][S];
+                self.noise.follow(left, slow, share, f64::from(self.interval_ns) / SECOND);
+            }
+        }
+    }
+
+    /// The covariance where neither the displacement nor the sensor's zero is what it was by `off` metres.
+    fn shifted(&mut self, mut p: Covariance, off: f64) -> Covariance {
+        let age = f64::from(self.age_s).max(0.1);
+        p.0[X][X] += off * off;
+        p.0[S][S] += off * off;
+        p.0[V][V] += (off / age) * (off / age);
+        self.noise.shifted(off * off);
+        p
+    }
+
+    /// Goes on to the end of an interval.
+    #[inline]
+    fn end(&mut self, interval: Interval, settings: &Settings) {
+        if self.accepted > 0 {
+            let added = self.added_to(interval.end_ns, &interval);
+            self.added = added;
+            let white = settings.acceleration_std * settings.acceleration_std * (f64::from(self.step_ns) / SECOND);
+            if interval.walks.density > white {
+                self.anchor(interval.end_ns, added, &interval.walks);
+            }
+        }
+        self.slope = interval.motion.slope;
+        self.input += interval.motion.slope * ((interval.end_ns - self.at_ns) as f64 / SECOND);
+        self.at_ns = interval.end_ns;
+    }
+
+    /// The row at the last sample.
+    #[inline]
+    fn row(&mut self, settings: &Settings, out: &mut Vec<Event>) -> Option<Row> {
+        if self.accepted == 0 {
+            return None;
+        }
+        let span = self.span(self.at_ns, self.added);
+        let age = f64::from(self.age_s) + span.t;
+        let interval = f64::from(self.interval_ns) / SECOND;
+        let lost_s = settings.lost_s.max(LOST_INTERVALS * interval);
+        let status = if age <= settings.coasting_s.max(COASTING_INTERVALS * interval) {
+            Status::Tracking
+        } else if age <= lost_s {
+            Status::Coasting
+        } else {
+            Status::Lost
+        };
+        let is_lost = status == Status::Lost;
+        if is_lost != self.lost {
+            out.push(Event { time_ns: self.at_ns, code: if is_lost { Code::Lost } else { Code::Tracking } });
+            self.lost = is_lost;
+        }
+        if age > lost_s + ROWS_LOST_S {
+            self.accepted = 0;
+            return None;
+        }
+        if self.accepted < FIRST_MEASUREMENTS {
+            return None;
+        }
+        let walks = settings.walks(
+            settings.acceleration_std * settings.acceleration_std * (f64::from(self.step_ns) / SECOND),
+            self.noise.slow_m2(),
+        );
+        let gained = 1.0 + f64::from(self.aside[1]);
+        let ahead = lead_of(f64::from(self.step_ns) / SECOND) * self.slope;
+        let (variance, velocity_variance) = self.covariance.row(&span, &walks);
+        Some(Row {
+            time_ns: self.at_ns,
+            displacement: self.mean[X] + span.t * self.mean[V] + gained * span.displacement,
+            variance,
+            velocity: self.mean[V] + gained * span.velocity - ahead,
+            velocity_variance,
+            status,
+        })
+    }
+}

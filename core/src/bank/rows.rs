@@ -1,0 +1,85 @@
+//! Rows of all points as runs: evenly timed rows of one point with one status.
+
+use super::rounding::{round_to, round_up};
+use crate::Status;
+
+/// A row of a point, SI.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// Its stamp, ns.
+    pub time_ns: i64,
+    /// m.
+    pub displacement: f64,
+    /// Variance of the displacement, m².
+    pub variance: f64,
+    /// m/s.
+    pub velocity: f64,
+    /// Variance of the velocity, (m/s)².
+    pub velocity_variance: f64,
+    /// What it rests on.
+    pub status: Status,
+}
+
+/// Runs (k,) and their rows (sum of count,), one after another.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rows {
+    /// Number of the point (k,).
+    pub point: Vec<u32>,
+    /// Stamp of the first row (k,), ns.
+    pub t0_ns: Vec<i64>,
+    /// From one row to the next (k,), ns.
+    pub dt_ns: Vec<i64>,
+    /// How many rows (k,).
+    pub count: Vec<u32>,
+    /// What they rest on (k,).
+    pub status: Vec<u8>,
+    /// Displacement, m.
+    pub displacement: Vec<f64>,
+    /// Its standard deviation, m.
+    pub std: Vec<f64>,
+    /// Velocity, m/s.
+    pub velocity: Vec<f64>,
+}
+
+impl Rows {
+    /// Adds a row of a point; step_ns: from one sample to the next, where it is the only row of a run.
+    #[inline]
+    pub fn add(&mut self, point: u32, row: &Row, step_ns: i64, rounded: bool) {
+        self.place(point, row, step_ns);
+        let std = row.variance.sqrt();
+        if rounded {
+            let std = round_up(std);
+            self.displacement.push(round_to(row.displacement, std));
+            self.std.push(std);
+            self.velocity.push(round_to(row.velocity, row.velocity_variance.sqrt()));
+        } else {
+            self.displacement.push(row.displacement);
+            self.std.push(std);
+            self.velocity.push(row.velocity);
+        }
+    }
+
+    #[inline]
+    fn place(&mut self, point: u32, row: &Row, step_ns: i64) {
+        let status = row.status as u8;
+        if let Some(last) = self.point.len().checked_sub(1)
+            && self.point[last] == point
+            && self.status[last] == status
+        {
+            let count = self.count[last];
+            let step = (row.time_ns - self.t0_ns[last]) / i64::from(count);
+            if (count == 1 && step <= step_ns + step_ns / 2)
+                || self.t0_ns[last] + i64::from(count) * self.dt_ns[last] == row.time_ns
+            {
+                self.dt_ns[last] = step;
+                self.count[last] = count + 1;
+                return;
+            }
+        }
+        self.point.push(point);
+        self.t0_ns.push(row.time_ns);
+        self.dt_ns.push(step_ns);
+        self.count.push(1);
+        self.status.push(status);
+    }
+}
