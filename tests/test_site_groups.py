@@ -69,7 +69,11 @@ def test_a_group_as_documented_without_any_point(tmp_path, monkeypatch):
         ('"mqtt:north/gnss"', '"north/gnss"', "must be mqtt: and a topic"),
         ('"mqtt:north/gnss"', '"mqtt:north/+/gnss"', "without the wildcards + and #"),
         ('"mqtt:north/gnss"', '"mqtt:midspan/v1/river/x"', "must not be a topic of the site's results"),
-        ('"mqtt:north/gnss"', '"mqtt:midspan/5/acc"', "'midspan/5/acc' is that of the group 'north', accelerometer, too"),
+        (
+            '"mqtt:north/gnss"',
+            '"mqtt:midspan/5/acc"',
+            "'midspan/5/acc' is that of the group 'north', accelerometer, too",
+        ),
         ('"mg"', '"mm"', "must be a unit of acceleration"),
         ('"mg"', '"mg"\ndisplacement_unit = "m/s"', "must be a unit of length"),
         ('"mg"', '"mg"\nnoise = 1', "group 'north': noise: is not a known key"),

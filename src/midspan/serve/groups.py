@@ -18,6 +18,8 @@ from midspan.service.reasons import sentence
 
 # How the points of a group stand is asked for so often at most, s; what viewers look at is sent on for so long.
 TABLE_S, WATCH_S = 1.0, 5.0
+# Rows of points that a page lists come for so long, s: it lists them twice a minute. No more points than this.
+LOOK_S, MAX_LOOKED = 45.0, 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +61,7 @@ class GroupTables:
         self._link = link
         self._tables: dict[str, tuple[float, GroupTable]] = {}
         self._watched: dict[str, float] = {}
+        self._looked: dict[str, float] = {}
 
     def _numbers(self) -> Iterator[tuple[str, range]]:
         for one in self._link.state.get("groups", []):
@@ -105,6 +108,17 @@ class GroupTables:
             if table is not None:
                 found += [table.state(place, now_s, self._link.reason) for place in table.in_order()[:most]]
         return found
+
+    def look(self, points: list[str]) -> None:
+        """A page lists these points: let their rows come for a while."""
+        until_s = time.monotonic() + LOOK_S
+        self._looked = dict(list({**self._looked, **dict.fromkeys(points, until_s)}.items())[-MAX_LOOKED:])
+
+    @property
+    def looked(self) -> frozenset[str]:
+        """The points that a page lists."""
+        now_s = time.monotonic()
+        return frozenset(name for name, until_s in self._looked.items() if until_s > now_s)
 
     async def watch(self, points: frozenset[str]) -> None:
         """Let the engine send the rows of those of these points that are of groups."""

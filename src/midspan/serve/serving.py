@@ -223,8 +223,9 @@ class Serving:
 
     async def watch(self) -> None:
         """Let rows of points of groups come that viewers name."""
-        points = frozenset(one for one in self.live.named if self.groups.place(one) is not None)
-        if points and not self.link.reason:
+        if not self.live.viewers or self.link.reason:
+            return
+        if points := frozenset(one for one in self.live.named | self.groups.looked if self.groups.place(one)):
             await self.groups.watch(points)
 
     def since_ns(self, name: str) -> int | None:

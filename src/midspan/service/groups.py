@@ -83,7 +83,7 @@ class Groups:
         given = Given()
         for one in list(self._groups.values()):
             second = one.second(now_ns)
-            events = _fewer(one.plan.name, second.events)
+            events = fewer(one.plan.name, second.events)
             self._put(_batch(one, second, events))
             self._receipts += second.receipts
             given.events.extend(events)
@@ -154,7 +154,7 @@ def _batch(one: Group, second: GroupSecond, events: Sequence[tuple[str, Event]])
     return Batch(events=events, groups=[chunk] if second.receipts or len(rows.point) else [])
 
 
-def _fewer(group: str, events: Sequence[tuple[str, Event]]) -> list[tuple[str, Event]]:
+def fewer(group: str, events: Sequence[tuple[str, Event]]) -> list[tuple[str, Event]]:
     """The first events of points, and of the others how many there are of each kind as events of the group."""
     more = events[MAX_EVENTS:]
     newest = {event.kind: event for _, event in more}

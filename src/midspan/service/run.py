@@ -46,7 +46,9 @@ from midspan.settings.site import Site
 from midspan.store.database import StoreFault
 from midspan.store.store import Batch, Store, open_store
 
-TICK_S, FIRST_S, WRITE_S, LOG_S = 0.05, 0.25, 1.0, 60.0
+TICK_S, FIRST_S, WRITE_S, LOG_S = 0.05, 0.2, 1.0, 60.0
+# The first times that all is written follow one another after FIRST_S.
+FIRST = 5
 # Days are archived, and removed once they are too old, so often.
 SWEEP_S = 3600.0
 
@@ -437,7 +439,7 @@ class Service:
 
     async def _writing(self) -> None:
         # Soon first: after a restart what the broker has kept is there at once.
-        for pause_s in itertools.chain((FIRST_S,), itertools.repeat(WRITE_S)):
+        for pause_s in itertools.chain(itertools.repeat(FIRST_S, FIRST), itertools.repeat(WRITE_S)):
             await asyncio.sleep(pause_s)
             done = self._collect()
             self._show(await asyncio.to_thread(self._groups.second, time.time_ns(), self._broker))

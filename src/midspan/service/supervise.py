@@ -38,6 +38,8 @@ from midspan.writing import write_whole
 STATE_S = 0.5
 # A server whose process ended is started again after this time; at the end it is waited for so long, s.
 SERVER_AGAIN_S, SERVER_END_S = 1.0, 5.0
+# For points that begin it waits so long at most, s.
+FIRST_S = 2.0
 # The server of a process that was killed leaves its address soon after, s.
 ADDRESS_S = 3.0
 SERVER = "from midspan.serve.process import main; main()"
@@ -339,6 +341,7 @@ class Supervisor:
             "where": self.settings.where, "site_file": str(self.settings.file),
             "tls_cert": paths[0], "tls_key": paths[1], "listener": listener.fileno(),
         }  # fmt: skip
+        await self._first_begun()
         while True:
             process = await asyncio.create_subprocess_exec(
                 sys.executable, "-c", SERVER,
@@ -352,6 +355,12 @@ class Supervisor:
                 await _ended(process)
             self._say(f"page: the server ended with code {code} and is restarted.")
             await asyncio.sleep(SERVER_AGAIN_S)
+
+    async def _first_begun(self) -> None:
+        """Let points begin first, for some time: the server's start takes as much of the processors as theirs."""
+        until_s = time.monotonic() + FIRST_S
+        while self._service is not None and not self._service.begun and time.monotonic() < until_s:
+            await asyncio.sleep(0.05)
 
 
 def _needs_restart(sections: Sequence[str]) -> str:
