@@ -1,5 +1,11 @@
 """The part of a site that a shard runs: each N-th place of the file, a port, a store and topics of its own."""
 
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from midspan.errors import UsageError
@@ -103,3 +109,42 @@ def test_wrong_shards_are_refused(tmp_path):
 @pytest.mark.parametrize(("points", "shards"), [(1, 1), (5000, 1), (5001, 2), (100_000, 20)])
 def test_a_fleet_has_a_shard_for_five_thousand_points(tmp_path, points, shards):
     assert usual_shards(site(tmp_path, GROUP.format(name="n", points=points))) == shards
+
+
+FLEET = Path(__file__).parents[1] / "examples" / "fleet"
+
+
+def test_systemd_finds_nothing_wrong_with_the_template(tmp_path):
+    analyze = shutil.which("systemd-analyze")
+    if analyze is None:
+        pytest.skip("systemd is not installed")
+    unit = (FLEET / "midspan@.service").read_text()
+    unit = unit.replace("/opt/midspan/bin/midspan", sys.executable).replace(" mosquitto.service postgresql.service", "")
+    file = tmp_path / "midspan@.service"
+    file.write_text(unit)
+    instance = tmp_path / "midspan@1.service"
+    instance.symlink_to(file)
+    done = subprocess.run([analyze, "verify", "--man=no", instance], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, [line for line in done.stderr.splitlines() if "midspan@" in line]) == (0, [])
+
+
+def test_a_pod_runs_the_shard_of_its_number(tmp_path):
+    """The shell's line of the StatefulSet, with a midspan that says what it was called with."""
+    yaml = pytest.importorskip("yaml")
+    _, stateful = yaml.safe_load_all((FLEET / "midspan.yaml").read_text())
+    (container,) = stateful["spec"]["template"]["spec"]["containers"]
+    shards = {one["name"]: one["value"] for one in container["env"]}["SHARDS"]
+    assert int(shards) == stateful["spec"]["replicas"]
+    (line,) = container["args"]
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "SITE.toml").touch()
+    (tmp_path / "midspan").write_text('#!/bin/sh\necho "$@"\n')
+    (tmp_path / "midspan").chmod(0o755)
+    line = line.replace("/site/", f"{tmp_path}/site/").replace("/data/store", str(tmp_path))
+    environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "HOSTNAME": "midspan-2", "SHARDS": shards}
+    done = subprocess.run([*container["command"], line], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["run", "SITE.toml", "--shard", "3/4"]
+    probe = container["livenessProbe"]["exec"]["command"][-1]
+    script = f'python() {{ echo "$2"; }}; {probe}'
+    shown = subprocess.run(["sh", "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert "http://127.0.0.1:8082/healthz" in shown.stdout

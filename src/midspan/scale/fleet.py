@@ -72,7 +72,7 @@ def read_fleet(site_file: Path) -> Fleet | None:
 def watch(
     shards: Shards, fleet: Fleet, site_file: Path, *, say: Callable[[str], None], stopped: Callable[[float], bool]
 ) -> Fleet:
-    """Look after shards until `stopped`, which waits for so many seconds, says so; then end them. How they stood."""
+    """Look after shards until `stopped`, which waits for this many seconds, says so; then end them. How they stood."""
     known: list[ShardState] = []
     try:
         while True:
