@@ -271,6 +271,38 @@ def test_actors_lose_no_row_where_one_is_killed(tmp_path, broker, fleet):
         listener.stop()
 
 
+@pytest.fixture
+def cluster():
+    """The address of a cluster that does not end with a fleet's driver."""
+    ray = pytest.importorskip("ray")
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, configure_logging=False)
+    yield ray.get_runtime_context().gcs_address
+    ray.shutdown()
+
+
+def test_actors_outlive_their_driver_and_the_next_one_finds_them(tmp_path, broker, fleet, cluster):
+    file, listener = site_file(tmp_path, broker), Listener(broker)
+    first = int(time.time()) - 3600
+    try:
+        process = fleet(file, "--shards", "2", "--runner", "ray", RAY_ADDRESS=cluster)
+        listener.wait("available", "online")
+        before = pids(file)
+        process.kill()
+        process.wait()
+        fleet_file(file).unlink()
+        send(listener, first, 4)
+        process = fleet(file, "--shards", "2", "--runner", "ray", RAY_ADDRESS=cluster)
+        assert pids(file) == before
+        send(listener, first + 4, 4)
+        assert_whole([tmp_path / "store" / f"shard-{k}" for k in (1, 2)], first, 8)
+        assert listener.seen["available"][-1] == "online"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(90) == 0
+        listener.wait("available", "offline")
+    finally:
+        listener.stop()
+
+
 def test_ray_is_imported_nowhere_else():
     script = (
         "import sys, midspan.cli.fleet, midspan.scale.fleet, midspan.scale.fleet_processes, midspan.scale.fleet_ray, "

@@ -84,8 +84,6 @@ def _run(whole: "Site", count: int, runner: str, for_s: float | None, console: C
     from midspan.scale.fleet import Fleet, watch
 
     stop = threading.Event()
-    for name in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(name, lambda *_: stop.set())
     until_s = float("inf") if for_s is None else time.monotonic() + for_s
 
     def stopped(wait_s: float) -> bool:
@@ -96,6 +94,9 @@ def _run(whole: "Site", count: int, runner: str, for_s: float | None, console: C
         console.say(f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {line}")
 
     shards = _shards(whole, count, runner, quiet=console.quiet)
+    # Afterwards: Ray has handlers of its own, which end the process.
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, lambda *_: stop.set())
     last = watch(shards, Fleet(runner, count, time.time(), ()), whole.file, say=say, stopped=stopped)
     say("stopped; all received data are stored.")
     return asdict(last)
