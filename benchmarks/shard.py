@@ -56,9 +56,10 @@ def sensors(what: str, port: int, points: int, shared: bool, seconds: int) -> "s
 def watching(port: int, came: "queue.Queue[float]") -> Any:
     """A client that notes when each block of the first point's rows comes."""
     import paho.mqtt.client as mqtt
+    from paho.mqtt.enums import CallbackAPIVersion
 
-    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id="watcher")
-    client.on_message = lambda _client, _data, message: came.put(parse(message.payload, RESULT).t0_ns / 1e9)
+    client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id="watcher")
+    client.on_message = lambda _client, _data, message: came.put(parse(bytes(message.payload), RESULT).t0_ns / 1e9)
     client.connect("127.0.0.1", port)
     client.subscribe("midspan/v1/fleet/north-0/displacement")
     client.loop_start()

@@ -38,11 +38,12 @@ class Motion:
 
     def displacement_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """(points, times), m."""
-        return np.sum(self.modes(time_s), axis=1)
+        return np.asarray(np.sum(self.modes(time_s), axis=1))
 
     def acceleration_m_s2(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """(points, times), m/s²."""
-        return -np.sum((2.0 * np.pi * self.frequency_hz[..., None]) ** 2 * self.modes(time_s), axis=1)
+        rate = 2.0 * np.pi * self.frequency_hz[..., None]
+        return np.asarray(-np.sum(rate**2 * self.modes(time_s), axis=1))
 
 
 def blocks(motion: Motion, second: int, rng: np.random.Generator) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -71,12 +72,19 @@ class Publisher:
         self._socket.sendall(b"\x10\x13\x00\x04MQTT\x04\x02\x00\x3c\x00\x07sensors")
         self._socket.recv(4)
         self._number = 0
-        threading.Thread(target=self._drain, daemon=True).start()
+        self._draining = threading.Thread(target=self._drain, daemon=True)
+        self._draining.start()
 
     def _drain(self) -> None:
         with contextlib.suppress(OSError):
             while self._socket.recv(65_536):
                 pass
+
+    def close(self) -> None:
+        """Leave."""
+        self._socket.shutdown(socket.SHUT_RDWR)
+        self._draining.join()
+        self._socket.close()
 
     def publish(self, messages: Iterable[tuple[str, bytes]]) -> None:
         """Send messages, one after another."""
@@ -117,10 +125,11 @@ def send(port: int, points: int, shared: bool, seconds: int) -> None:
 def listen(port: int, points: int, shared: bool, seconds: int) -> None:
     """Receive the same messages as a session of the same kind, and do nothing with them."""
     import paho.mqtt.client as mqtt
+    from paho.mqtt.enums import CallbackAPIVersion
     from paho.mqtt.packettypes import PacketTypes
     from paho.mqtt.properties import Properties
 
-    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id="bare", protocol=mqtt.MQTTv5)
+    client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id="bare", protocol=mqtt.MQTTv5)
     session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
     session.SessionExpiryInterval, session.ReceiveMaximum = 3600, 65_535
     client.on_message = lambda _client, _data, _message: None

@@ -1,4 +1,4 @@
-"""A group in the shell: its rows are those of a bank that is fed the same blocks, each point's are its own, none doubles."""
+"""A group in the shell: rows are those of a bank that is fed the same blocks, each point has its own, none doubles."""
 
 import asyncio
 import struct
@@ -25,6 +25,7 @@ from midspan.service.groups import MAX_EVENTS, Groups, fewer, row_bytes
 from midspan.service.live_socket import ROW
 from midspan.settings.group import GroupPlan, GroupSettings
 from midspan.sources.live.blocks import HEAD, RESULT, parse
+from midspan.store.chunk import join
 from midspan.store.store import open_store
 
 POINTS, BEGIN_S = 12, 1_790_000_000
@@ -276,7 +277,7 @@ def test_rows_and_state_are_kept_together_and_come_back(tmp_path):
             store.write(batch)
         wanted = by_point(bank_fed(range(5)))
         for point in range(POINTS):
-            (chunk,) = store.chunks(f"north-{point}", "rows", 0, 2**62)
+            chunk = join(list(store.chunks(f"north-{point}", "rows", 0, 2**62)))
             np.testing.assert_array_equal(chunk.time_ns, wanted[point][0])
             np.testing.assert_array_equal(chunk.columns["displacement_m"], wanted[point][1])
             np.testing.assert_array_equal(chunk.columns["std_m"], wanted[point][2])

@@ -446,3 +446,39 @@ def test_realistic_rows_take_three_bytes_at_most():
 
 def test_slots_of_a_block_are_parts_of_a_day():
     assert DAY_NS % round(BLOCK_S * NANOSECONDS) == 0
+
+
+def test_the_page_and_the_export_read_a_point_of_a_group_as_any_other(tmp_path):
+    import json
+
+    from click.testing import CliRunner
+
+    from midspan.cli.export import command
+    from midspan.serve import reading
+
+    where = str(tmp_path / "store")
+    store = open_store(where, points=["north"])
+    for number in range(4):
+        store.write(Batch(groups=[second(number)]))
+    for _ in range(2):
+        newest = reading.newest(where, "north-3")
+        assert newest["status"] == "tracking"
+        assert newest["displacement_mm"] == pytest.approx(1e3 * motion(3, 4 * RATE_HZ - 1), rel=1e-12)
+        span = BEGIN_NS + NANOSECONDS, BEGIN_NS + 3 * NANOSECONDS
+        series = json.loads(reading.series_json(where, "north-3", *span))
+        assert len(series["time"]) == 2 * RATE_HZ
+        assert set(series["source"]) == {"displacement"}
+        buckets = reading.buckets(where, "north-3", *span, 2)
+        rows = 1e3 * motion(3, np.arange(RATE_HZ, 3 * RATE_HZ)).reshape(2, -1)
+        np.testing.assert_allclose(buckets["displacement_mm_max"], rows.max(axis=1), rtol=1e-6)
+        assert reading.calibrations(where, "north-3") == []
+        assert len(reading.calibrated_rows(where, "north-3")) == 1
+        # From the log, then from the blocks.
+        store.close()
+        store = open_store(where, points=["north"])
+    store.close()
+    file = tmp_path / "rows.csv"
+    done = CliRunner().invoke(command, [where, "--point", "north-17", "-o", str(file)])
+    assert done.exit_code == 0, done.output
+    frame = pd.read_csv(file, comment="#")
+    np.testing.assert_allclose(frame["displacement_mm"], 1e3 * motion(17, np.arange(4 * RATE_HZ)), atol=1e-8)

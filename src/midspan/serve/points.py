@@ -154,7 +154,7 @@ async def points(
     """All points of the site. of_groups: of each group this many at most, first those with a reason, and those that
     `also` names; their rows come over the websocket for some time.
     """
-    own = [await point_state(serving, name) for name in await serving.points()]
+    own = [await point_state(serving, name) for name in await serving.points(of_groups)]
     if of_groups is None:
         return [*own, *await serving.groups.states(None)]
     found = await serving.groups.states(of_groups)

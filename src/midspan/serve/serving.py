@@ -149,7 +149,7 @@ class Serving:
     long: Worker = field(default_factory=lambda: Worker(process))
     files: Worker = field(default_factory=lambda: Worker(process))
     hashing: Worker = field(default_factory=lambda: Worker(lambda: ThreadPoolExecutor(1, thread_name_prefix="argon2")))
-    _points: tuple[float, list[str]] = (-POINTS_S, [])
+    _points: tuple[float, tuple[list[str], list[str]]] = (-POINTS_S, ([], []))
     _newest: dict[str, tuple[float, Tree]] = field(default_factory=dict)
     _spans: dict[str, tuple[float, dict[int, list[Tree]]]] = field(default_factory=dict)
     # What was reported to viewers last: how each point stands, and what is wrong.
@@ -183,15 +183,18 @@ class Serving:
         named = self.link.hello.get("site_file")
         return self.site_file or (Path(named) if named else None)
 
-    async def points(self) -> list[str]:
-        """The names of all points but those of groups: those that are measured, or that the store has rows of."""
+    async def points(self, of_groups: int | None = None) -> list[str]:
+        """The names of all points that are measured but those of groups, or of those that the store has rows of.
+
+        of_groups: of each group of the store this many at most.
+        """
         if self.link.state:
             return [str(one["point"]) for one in self.link.state["points"]]
-        then_s, names = self._points
+        then_s, known = self._points
         if time.monotonic() - then_s > POINTS_S:
-            names = await self.quick.run(reading.known_points, self.where)
-            self._points = (time.monotonic(), names)
-        return names
+            known = await self.quick.run(reading.known_points, self.where)
+            self._points = (time.monotonic(), known)
+        return reading.first_of_groups(*known, of_groups)
 
     async def require_point(self, name: str) -> None:
         """Raises Problem for a name that is no point's."""

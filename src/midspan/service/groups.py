@@ -90,7 +90,8 @@ class Groups:
             given.frames.extend(self._frames(one, second.rows))
             if broker is not None and broker.connected:
                 broker.publish_all(self._results(one, second.rows))
-                broker.publish_all(self._states(one), qos=1, retain=True)
+                for topic, payload in self._states(one):
+                    broker.publish(topic, payload, qos=1, retain=True)
         return given
 
     def receipts(self) -> list[tuple[int, int]]:

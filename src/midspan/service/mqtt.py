@@ -6,7 +6,7 @@ import secrets
 import ssl
 import sys
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Event
+from midspan.service.packets import acknowledgements, parts, publication
 from midspan.service.whole_site import WholeSite
 from midspan.settings.site import MqttSettings, Shard
 from midspan.sources.live.blocks import MAX_BYTES, RESULT, Block, pack
@@ -193,16 +194,21 @@ class Broker:
         if self.connected or qos:
             self._client.publish(f"{self.root}/{topic}", payload, qos=qos, retain=retain)
 
-    def publish_all(self, messages: Sequence[tuple[str, bytes | str]], *, qos: int = 0, retain: bool = False) -> None:
-        """Send messages below the site's topic, as `publish` does one; called in any thread."""
-        for topic, payload in messages:
-            self.publish(topic, payload, qos=qos, retain=retain)
+    def publish_all(self, messages: Iterable[tuple[str, bytes]]) -> None:
+        """Send messages below the site's topic, many in a packet; called in any thread. Without a broker none waits."""
+        if self.connected:
+            self._send(publication(f"{self.root}/{topic}", payload) for topic, payload in messages)
 
     def acknowledge(self, receipts: Sequence[tuple[int, int]]) -> None:
         """Acknowledge messages of topics that are read together; those of an earlier connection come again."""
-        for connection, number in receipts:
-            if connection == self._connections and number:
-                self._client.ack(number, 1)
+        numbers = [number for connection, number in receipts if connection == self._connections and number]
+        if self.connected and numbers:
+            self._send([acknowledgements(numbers)])
+
+    def _send(self, packets: Iterable[bytes]) -> None:
+        """Send packets as they are. The client has no name of its own for that: it takes any bytes as a packet."""
+        for part in parts(packets):
+            self._client._packet_queue(0, part, 0, 0)
 
     def deliver(self, topic: str, payload: bytes, *, retain: bool, wait_s: float) -> Any:
         """Send below the site's topic; what is returned says by `is_published()` whether the broker has it, for which

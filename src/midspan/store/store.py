@@ -309,6 +309,11 @@ class Store:
         """The names of the points of which rows are kept, sorted."""
         return sorted(self._kept.points.union(self._pyramid.points))
 
+    @property
+    def groups(self) -> list[str]:
+        """The names of the groups of which rows are kept, sorted."""
+        return self._kept.groups
+
     def has_point(self, point: str) -> bool:
         """Whether anything of a point is kept."""
         for table in ("pyramid", "calibration", "event"):
