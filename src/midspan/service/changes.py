@@ -54,4 +54,6 @@ class Changes:
 
 def _measuring(site: Site) -> dict[str, PointPlan | GroupPlan]:
     """The plans of points and groups by name, without what measures nothing."""
-    return {plan.name: replace(plan, alarms=()) for plan in site.points} | {plan.name: plan for plan in site.groups}
+    return {plan.name: replace(plan, alarms=(), place=0) for plan in site.points} | {
+        plan.name: plan for plan in site.groups
+    }

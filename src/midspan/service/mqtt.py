@@ -17,7 +17,8 @@ import numpy as np
 from midspan.errors import UsageError
 from midspan.records import Event
 from midspan.service.packets import acknowledgements, parts, publication
-from midspan.settings.site import MqttSettings
+from midspan.service.whole_site import WholeSite
+from midspan.settings.site import MqttSettings, Shard
 from midspan.sources.live.blocks import MAX_BYTES, RESULT, Block, pack
 from midspan.store.chunk import Chunk
 
@@ -70,8 +71,8 @@ class Broker:
 
     taken: called from its thread with topic, payload and a function that acknowledges the message, once what came of it
     is kept; bulk: topics whose messages go elsewhere, with their place there. folder: that the certificates' names are
-    relative to. announced: whole topics and what is retained there. max_bytes: of a message. Raises UsageError for a
-    certificate that is none.
+    relative to. announced: whole topics and what is retained there. max_bytes: of a message. shard: that runs a part
+    of the site. Raises UsageError for a certificate that is none.
     """
 
     def __init__(
@@ -84,9 +85,8 @@ class Broker:
         announced: Mapping[str, str] | None = None,
         bulk: Mapping[str, tuple[Bulk, int]] | None = None,
         max_bytes: int = MAX_BYTES,
+        shard: Shard | None = None,
     ) -> None:
-        import paho.mqtt.client as mqtt
-        from paho.mqtt.enums import CallbackAPIVersion
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
@@ -96,15 +96,15 @@ class Broker:
         # Topics of which nothing is to be retained any more, which the broker does not know yet.
         self._cleared: set[str] = set()
         self.root = f"{settings.prefix}/v1/{site}"
-        client = mqtt.Client(
-            CallbackAPIVersion.VERSION2, client_id=f"midspan-{site}", protocol=mqtt.MQTTv5, manual_ack=True
-        )
-        if settings.user is not None:
-            secret = settings.password.get_secret_value() if settings.password else None
-            client.username_pw_set(settings.user, secret)
-        if (context := tls_context(settings, folder)) is not None:
-            client.tls_set_context(context)
-        client.will_set(f"{self.root}/available", "offline", qos=1, retain=True)
+        # Where it says that it is there; of a shard, whose session knows nothing of another number of them, its own.
+        place = self.root if shard is None else f"{self.root}/{shard.name}"
+        name = f"midspan-{site}" if shard is None else f"midspan-{site}-{shard.name}-of-{shard.count}"
+        self._available = f"{place}/available"
+        client = _client(settings, name, folder, manual_ack=True)
+        self._whole = None
+        if shard is not None and shard.number == 1:
+            self._whole = WholeSite(_client(settings, f"{name}-site", folder), self.root, shard.count)
+        client.will_set(self._available, "offline", qos=1, retain=True)
         client.max_queued_messages_set(MAX_QUEUED)
         client.reconnect_delay_set(AGAIN_S, AGAIN_S)
         client.on_connect, client.on_disconnect, client.on_message = self._met, self._left, self._came
@@ -114,7 +114,7 @@ class Broker:
         self._session.ReceiveMaximum = MAX_UNACKNOWLEDGED
         self._session.MaximumPacketSize = max_bytes
         # Which process holds the site's name is a retained message: brokers do not say who ended a connection.
-        self._own, self._holder = secrets.token_hex(8).encode(), f"{self.root}/service"
+        self._own, self._holder = secrets.token_hex(8).encode(), f"{place}/service"
         self._connections, self._connected_s, self._pause_s = 0, 0.0, NAME_TAKEN_S
         self._client = client
 
@@ -140,6 +140,8 @@ class Broker:
             properties=self._session,
         )
         self._client.loop_start()
+        if self._whole is not None:
+            self._whole.start(self._settings.host, self._settings.port, KEEP_ALIVE_S)
 
     def change(
         self,
@@ -178,8 +180,10 @@ class Broker:
 
     def stop(self) -> None:
         """Say that the site is off, and leave."""
+        if self._whole is not None:
+            self._whole.stop()
         if self.connected:
-            self._client.publish(f"{self.root}/available", "offline", qos=1, retain=True).wait_for_publish(2.0)
+            self._client.publish(self._available, "offline", qos=1, retain=True).wait_for_publish(2.0)
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -230,7 +234,7 @@ class Broker:
         self._subscribe([(self._holder, 1), *self._topics.items()])
         client.publish(self._holder, self._own, qos=1, retain=True)
         self._retain(self._announced)
-        self.publish("available", "online", qos=1, retain=True)
+        client.publish(self._available, "online", qos=1, retain=True)
 
     def _not_met(self, _client: Any, _data: Any) -> None:
         # Paho calls this while it handles what went wrong.
@@ -257,6 +261,21 @@ class Broker:
                 self._reason, self._pause_s = "name_taken", min(2 * self._pause_s, MAX_NAME_TAKEN_S)
             return
         self._taken(topic, bytes(message.payload), lambda: client.ack(number, qos) if qos else None)
+
+
+def _client(settings: MqttSettings, name: str, folder: Path, *, manual_ack: bool = False) -> Any:
+    """A client of a name with the settings of a broker, not connected yet."""
+    import paho.mqtt.client as mqtt
+    from paho.mqtt.enums import CallbackAPIVersion
+
+    version = CallbackAPIVersion.VERSION2
+    client = mqtt.Client(version, client_id=name, protocol=mqtt.MQTTv5, manual_ack=manual_ack)
+    if settings.user is not None:
+        secret = settings.password.get_secret_value() if settings.password else None
+        client.username_pw_set(settings.user, secret)
+    if (context := tls_context(settings, folder)) is not None:
+        client.tls_set_context(context)
+    return client
 
 
 def even_parts(rows: Chunk) -> list[Chunk]:

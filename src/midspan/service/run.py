@@ -366,8 +366,11 @@ class Service:
     def _topics(self) -> dict[str, int]:
         """What is listened to at the broker, with the quality of service."""
         assert self.site.settings.mqtt is not None
-        commands = f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}/+/cmd/+"
-        return dict.fromkeys((*self._intake.topics, commands, *self._groups.inboxes), 1)
+        root = f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}"
+        # A shard leaves the commands of other points to the other shards.
+        named = ["+"] if self.site.shard is None else [one.name for one in self._points]
+        commands = [f"{root}/{name}/cmd/+" for name in named]
+        return dict.fromkeys((*self._intake.topics, *commands, *self._groups.inboxes), 1)
 
     @property
     def _announced(self) -> dict[str, str]:
@@ -380,7 +383,7 @@ class Service:
             return
         self._broker = Broker(
             mqtt, self.site.name, self._topics, self._message, self.site.file.parent, self._announced,
-            self._groups.inboxes, max_bytes_of(self.site.groups),
+            self._groups.inboxes, max_bytes_of(self.site.groups), self.site.shard,
         )  # fmt: skip
         self._broker.start()
         self._alarms.connect(self._broker)

@@ -5,7 +5,7 @@ import re
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -218,7 +218,8 @@ class SiteFile(Section):
 @dataclass(frozen=True, slots=True)
 class PointPlan:
     """One point: its settings, what its recordings say of the sensors, and by each sensor's name the address that its
-    records come from; configs: the file of each radar's settings, relative to SITE.toml.
+    records come from; configs: the file of each radar's settings, relative to SITE.toml. place: which [[point]] of the
+    file it is, from 0.
     """
 
     settings: PointSettings
@@ -226,6 +227,7 @@ class PointPlan:
     sources: dict[str, str]
     configs: dict[str, str]
     alarms: tuple[AlarmSettings, ...] = ()
+    place: int = 0
 
     @property
     def name(self) -> str:
@@ -239,13 +241,27 @@ class PointPlan:
 
 
 @dataclass(frozen=True, slots=True)
+class Shard:
+    """Which fixed part of a site a process runs: number `number` (from 1) of `count`."""
+
+    number: int
+    count: int
+
+    @property
+    def name(self) -> str:
+        """Its folder in a store, and the level of its topics."""
+        return f"shard-{self.number}"
+
+
+@dataclass(frozen=True, slots=True)
 class Site:
-    """A whole SITE.toml; file: where it was read."""
+    """A whole SITE.toml, or the part of it that a shard runs; file: where it was read."""
 
     file: Path
     settings: SiteFile
     points: tuple[PointPlan, ...]
     groups: tuple[GroupPlan, ...] = ()
+    shard: Shard | None = None
 
     @property
     def name(self) -> str:
@@ -289,7 +305,9 @@ def load_site(path: str | Path) -> Site:
     settings = validate(tree, str(file), SiteFile)
     places = [f"{file}: {point_at(number, point)}" for number, point in enumerate(points, start=1)]
     axes = [by_axis(point, place, file.parent) for point, place in zip(points, places, strict=True)]
-    plans = tuple(_plan(half, place) for halves, place in zip(axes, places, strict=True) for half in halves)
+    plans = tuple(
+        replace(_plan(half, places[number]), place=number) for number, halves in enumerate(axes) for half in halves
+    )
     _require_unique(plans, axes, str(file))
     require_names(groups, [plan.name for plan in plans], str(file))
     for plan in plans:

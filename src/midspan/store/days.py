@@ -278,8 +278,8 @@ class ServerDay(Day):
     def newest_of(self, points: Sequence[str], stream: str) -> list[tuple[str, int]]:
         """Points, of some, that have blocks, each with the stamp of its newest row."""
         sql = (
-            f"SELECT point, (SELECT t1_ns FROM {partitions.TABLE} AS own WHERE own.point = some.point "
-            "AND stream = ? ORDER BY t0_ns DESC LIMIT 1) FROM unnest(?::text[]) AS some (point)"
+            f"SELECT point, (SELECT t1_ns FROM {partitions.TABLE} AS own WHERE own.point = named.point "
+            "AND stream = ? ORDER BY t0_ns DESC LIMIT 1) FROM unnest(?::text[]) AS named (point)"
         )
         return _known(self.database.execute(sql, (stream, list(points))))
 

@@ -60,7 +60,7 @@ class StateFiles:
         self._open.clear()
 
     def _file(self, key: str, turn: int) -> Path:
-        return self._folder / f"{key.replace(' ', '_of_')}.{turn}"
+        return self._folder / f"{key.replace(' ', '+')}.{turn}"
 
     def _found(self, key: str) -> list[tuple[int, int, bytes]]:
         """Number, instant and state of the files that are whole."""
