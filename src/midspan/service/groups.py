@@ -68,6 +68,10 @@ class Groups:
             fresh.inboxes = before.inboxes
         return fresh
 
+    def has_point(self, name: str) -> bool:
+        """Whether a point of this name is in a group."""
+        return any(one.plan.number(name) is not None for one in self._groups.values())
+
     @property
     def points(self) -> int:
         """How many points the groups have."""
@@ -113,7 +117,7 @@ class Groups:
     def watch(self, head: Tree) -> Tree:
         """Send rows of the points that the page's server names for a while."""
         now_s, named = time.time(), [str(one) for one in head.get("points", [])]
-        known = [name for name in named if any(one.plan.number(name) is not None for one in self._groups.values())]
+        known = [name for name in named if self.has_point(name)]
         fresh = {name: until_s for name, until_s in self._watched.items() if until_s > now_s}
         self._watched = dict(list({**fresh, **dict.fromkeys(known, now_s + WATCHED_S)}.items())[-MAX_WATCHED:])
         return {"points": known}

@@ -76,7 +76,7 @@ class Service:
         commands = {**self._alarms.commands, "watch": self._groups.watch}
         self._commands = Commands(self._points, paused, self._event, self._in_thread, commands, self._groups.table)
         heard = (self._points, self._event, self._publish_event, self._begin, self._in_thread)
-        self._topic_commands = TopicCommands(*heard)
+        self._topic_commands = TopicCommands(*heard, self._groups.has_point)
         self._pause(self._points)
         self._broker: Broker | None = None
         self._stop = asyncio.Event()
