@@ -67,7 +67,7 @@ class Service:
     ) -> None:
         self.site, self._say, self._note, self._socket = site, say, note, socket
         self._keeper = Keeper(site.store, site.names)
-        self._groups = Groups(self._keeper.put)
+        self._groups = Groups(self._keeper.put, say)
         self._points = drafted(site, [plan.name for plan in site.points])
         self.sizes_px = partial(sizes_of, self._points)
         self._intake = Intake(self._points, site.file.parent, self._begin_job, self._event)
