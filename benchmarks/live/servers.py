@@ -60,6 +60,12 @@ class Server:
         self._process = subprocess.Popen(self._command(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         wait_for(self.port)
 
+    @property
+    def pid(self) -> int:
+        """Of its process, which runs."""
+        assert self._process is not None
+        return self._process.pid
+
     def stop(self) -> None:
         """End it; nothing where it does not run."""
         if self._process is not None:

@@ -7,6 +7,7 @@
 pub mod bank;
 pub mod estimator;
 pub mod likelihood;
+pub mod packed;
 pub mod radar;
 pub mod scene;
 pub mod signals;
@@ -45,5 +46,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     py::phase::register(module)?;
     py::picture::register(module)?;
     py::estimator::register(module)?;
+    py::packed::register(module)?;
     py::printed::register(module)
 }

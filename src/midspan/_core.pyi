@@ -12,6 +12,32 @@ Floats32 = NDArray[np.float32]
 __version__: str
 BIAS_WALK_RATIO: float
 
+GroupArrays = tuple[
+    NDArray[np.uint32],
+    NDArray[np.int64],
+    NDArray[np.int64],
+    NDArray[np.uint32],
+    NDArray[np.uint8],
+    Floats,
+    Floats,
+    Floats,
+]
+
+def pack_rows(
+    point: NDArray[np.uint32],
+    t0_ns: NDArray[np.int64],
+    dt_ns: NDArray[np.int64],
+    count: NDArray[np.uint32],
+    status: NDArray[np.uint8],
+    displacement: Floats,
+    std: Floats,
+    velocity: Floats,
+) -> bytes: ...
+def unpack_rows(pack: bytes, velocity: bool) -> GroupArrays: ...
+def pack_index(pack: bytes) -> tuple[NDArray[np.uint32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]: ...
+def pack_of(pack: bytes, point: int) -> bytes | None: ...
+def join_packs(packs: list[bytes], after_ns: NDArray[np.int64]) -> bytes: ...
+def pack_blocks(pack: bytes) -> list[tuple[int, int, int, int, float | None, float | None, bytes, bytes]]: ...
 def unwrap_aided(phase_rad: Floats, acceleration_step_m: Floats, rad_per_m: float) -> Floats: ...
 def local_spline(
     at_s: Floats, knot_s: Floats, value: Floats, longest_s: float, reach_s: float

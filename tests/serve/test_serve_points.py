@@ -9,7 +9,7 @@ import pytest
 
 from midspan.records import NANOSECONDS
 from midspan.serve import points
-from midspan.serve.reading import iso
+from midspan.serve.reading import first_of_groups, iso
 from midspan.serve.serving import Serving
 from served import GAP_S, LOST_S, PEAK_MM, PEAK_S, RATE, SECONDS, rows, until
 
@@ -185,3 +185,9 @@ def test_names_lead_nowhere_else(reader, path):
     answer = reader.get(f"/api/v1/points/{path}/export")
     assert answer.status_code in (404, 422)
     assert json.loads(answer.content)["status"] == answer.status_code
+
+
+def test_of_each_group_the_first_points_are_listed():
+    points = ["deck", *(f"north-{k}" for k in range(5)), "pier-1", "pier-2", "pier-3"]
+    assert first_of_groups(points, ["north"], 2) == ["deck", "north-0", "north-1", "pier-1", "pier-2", "pier-3"]
+    assert first_of_groups(points, ["north"], None) == points

@@ -57,8 +57,16 @@ export interface SourceState {
   clock_offset_std_s?: number | null;
   clock_drift_ppm?: number | null;
 }
+/** Points that are filtered together: NAME-NUMBER; of each reason how many points have it. */
+export interface Group {
+  group: string;
+  /** First number, end and step. */
+  numbers: [number, number, number];
+  reasons: Record<string, number>;
+}
 export interface Health {
   ready: boolean;
+  groups?: Group[];
   points: { point: string; reason: string; text: string }[];
   sources: { point: string; source: string; reason: string; text: string }[];
   settings: { text: string; file: string | null; key: string | null } | null;

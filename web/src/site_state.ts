@@ -12,6 +12,8 @@ const LOOK_MS = 3000;
 const ASK_MS = 30_000;
 // Alarms come on their own as they change; what a cut hid is asked for this often, ms.
 const ALARMS_MS = 30_000;
+// Of a group of points this many are shown, first those with a reason.
+export const SHOWN = 24;
 // What is kept of live rows for traces, s.
 export const KEPT_S = 130;
 
@@ -45,6 +47,12 @@ export class SiteState {
     this.live.opened = () => (this.#askedMs = -Infinity);
   }
 
+  /** Another point of a group may be looked at. */
+  #turned = () => {
+    const [, , name] = window.location.hash.split("/");
+    if (name && !this.point(decodeURIComponent(name))) this.#askedMs = -Infinity;
+  };
+
   /** Whether what is shown is of now. */
   get fresh(): boolean {
     return this.live.connected && !this.trouble;
@@ -53,12 +61,14 @@ export class SiteState {
   /** Begin; done once the first answer came, or failed. */
   async start(): Promise<void> {
     this.live.open();
+    window.addEventListener("hashchange", this.#turned);
     await this.#ask();
     this.#look();
   }
 
   stop(): void {
     this.#stopped = true;
+    window.removeEventListener("hashchange", this.#turned);
     window.clearTimeout(this.#timer);
     this.live.close();
   }
@@ -139,7 +149,7 @@ export class SiteState {
     this.#askedMs = performance.now();
     const before = this.#states;
     try {
-      const [points, health] = await Promise.all([get<PointState[]>("/points"), get<Health>("/health")]);
+      const [points, health] = await Promise.all([get<PointState[]>(this.#list()), get<Health>("/health")]);
       const dated = points.find((one) => one.time !== null && one.age_s !== null);
       if (dated) this.clockMs = Date.parse(dated.time ?? "") + 1000 * (dated.age_s ?? 0) - Date.now();
       [this.trouble, this.answered] = ["", performance.now()];
@@ -152,6 +162,12 @@ export class SiteState {
     } catch (error) {
       this.#failed(error);
     }
+  }
+
+  /** Where the points are listed: of groups the first ones, and the one that is looked at. */
+  #list(): string {
+    const [, , name] = window.location.hash.split("/");
+    return `/points?of_groups=${SHOWN}${name ? `&also=${name}` : ""}`;
   }
 
   #failed(error: unknown): void {

@@ -7,6 +7,7 @@ pub mod estimator;
 pub mod features;
 pub mod lens;
 pub mod likelihood;
+pub mod packed;
 pub mod phase;
 pub mod picture;
 pub mod pixels;

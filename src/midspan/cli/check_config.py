@@ -141,10 +141,12 @@ def _site(file: str, console: Console) -> None:
         warnings += [*absent, *(f"{where}: {line}" for line in [*_units(plan, where), *_short(plan, site.file.parent)])]
         missing += absent
     sections = [replace(one, name=f"point.sensors.{one.name}") for one in recording_sections()]
-    console.table(_rows({**settings, "point": points}, [*site_sections(), *sections]))
+    groups = [plan.settings.model_dump(mode="json") for plan in site.groups]
+    settings |= {"point": points, "group": groups}
+    console.table(_rows(settings, [*site_sections(), *sections]))
     console.warn(warnings)
     console.say(_verdict(file, missing))
-    console.document({"file": file, "valid": True, "warnings": warnings, "settings": {**settings, "point": points}})
+    console.document({"file": file, "valid": True, "warnings": warnings, "settings": settings})
 
 
 def _sensors(plan: "PointPlan") -> dict[str, Any]:

@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "spectrum": ("spectrum", "Natural frequencies of a result, with damping and standard deviations."),
     "open": ("open", "Recordings in the browser: inspect, draw the region, calibrate, estimate, compare, export."),
     "run": ("run", "Run a live site: from sources to store, page and MQTT."),
+    "fleet": ("fleet", "Run a live site as shards: start, watch and replace them."),
     "serve": ("serve", "Serve the page and the REST interface of a store."),
     "access": ("access", "Users and tokens of a store's page."),
     "store": ("store", "Check, repair or back up a store."),

@@ -13,8 +13,9 @@ from midspan.cli.process import stop_by_signals
     "--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds to run. Default: until stopped."
 )
 @click.option("--serve/--no-serve", default=True, help="Serve page and REST interface on [service] listen.")
+@click.option("--shard", metavar="K/N", help="Run part K of N of the points alone, with a port and a store of its own.")
 @common_options
-def command(site: str, for_s: float | None, serve: bool, quiet: bool, as_json: bool) -> None:
+def command(site: str, for_s: float | None, serve: bool, shard: str | None, quiet: bool, as_json: bool) -> None:
     """Run a live site (SITE.toml or its folder): estimate from live sources; write to store, page and MQTT.
 
     The first start makes the user `admin` and prints its password once (not with --quiet).
@@ -27,8 +28,9 @@ def command(site: str, for_s: float | None, serve: bool, quiet: bool, as_json: b
 
     console = Console(quiet, as_json)
     from midspan.service.supervise import Supervisor, settings_of
+    from midspan.settings.shard import parse_shard
 
-    settings = settings_of(site)
+    settings = settings_of(site, None if shard is None else parse_shard(shard))
 
     def note(record: dict[str, object]) -> None:
         """A line of the log for programs."""

@@ -31,6 +31,7 @@ class Standing(BaseModel):
     ready: bool
     points: list[dict[str, Any]]
     sources: list[dict[str, Any]]
+    groups: list[dict[str, Any]] = Field([], description="of each group how many points give no rows, by reason")
     has_settings: bool = Field(description="whether the store has a SITE.toml here")
     settings: dict[str, Any] | None = Field(None, description="text, file and key of an error in SITE.toml")
 

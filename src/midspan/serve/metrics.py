@@ -41,6 +41,7 @@ class _Figures:
         )
         if state:
             yield from _of_points(state["points"])
+            yield from _of_groups(state.get("groups", []))
             store = state.get("store", {})
             yield GaugeMetricFamily("midspan_store_waiting", "Batches that wait.", float(store.get("waiting", 0)))
             yield CounterMetricFamily("midspan_store_dropped", "Batches that were lost.", store.get("dropped", 0))
@@ -77,6 +78,22 @@ def _of_points(points: list[dict[str, Any]]) -> Iterator[Any]:
                 if source.get(key) is not None:
                     gauge.add_metric([name, source["source"]], source[key])
     yield from (status, row_age, sigma, age, delay, *counts.values())
+
+
+def _of_groups(groups: list[dict[str, Any]]) -> Iterator[Any]:
+    from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+
+    points = GaugeMetricFamily("midspan_group_points", "Points of a group by status.", labels=["group", "status"])
+    wrong = GaugeMetricFamily("midspan_group_wrong", "Points without good rows.", labels=["group", "reason"])
+    messages = CounterMetricFamily("midspan_group_messages", "Messages of a group that came.", labels=["group"])
+    faults = CounterMetricFamily("midspan_group_faults", "Messages that could not be used.", labels=["group"])
+    for one in groups:
+        for gauge, key in ((points, "statuses"), (wrong, "reasons")):
+            for word, count in one[key].items():
+                gauge.add_metric([one["group"], word], count)
+        messages.add_metric([one["group"]], one["messages"])
+        faults.add_metric([one["group"]], one["faults"])
+    yield from (points, wrong, messages, faults)
 
 
 def figures(serving: Serving) -> str:

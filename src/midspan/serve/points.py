@@ -28,6 +28,8 @@ EXPORT_S = 900.0
 QUICK_S = 2 * 86_400.0
 # Rows of up to this time take a thread 25 ms at 100 Hz on a busy machine; a process takes seconds to start there.
 QUICK_ROWS_S = 10.0
+# Points of groups that a list has besides the first ones at most.
+MAX_ALSO = 20
 Numbers = list[float | None]
 ARROW = "application/vnd.apache.arrow.stream"
 BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -143,17 +145,31 @@ OF_A_POINT = declared(401, 403, 404, 422)
 COMMANDED = declared(401, 403, 404, 409, 422)
 
 
-@routes.get("", response_model=list[PointState], dependencies=READ, responses=declared(401, 403))
-async def points(serving: Shared) -> list[Tree]:
-    """All points of the site."""
-    return [await point_state(serving, name) for name in await serving.points()]
+@routes.get("", response_model=list[PointState], dependencies=READ, responses=declared(401, 403, 422))
+async def points(
+    serving: Shared,
+    of_groups: Annotated[int | None, Query(ge=0)] = None,
+    also: Annotated[list[str] | None, Query()] = None,
+) -> list[Tree]:
+    """All points of the site. of_groups: of each group this many at most, first those with a reason, and those that
+    `also` names; their rows come over the websocket for some time.
+    """
+    own = [await point_state(serving, name) for name in await serving.points(of_groups)]
+    if of_groups is None:
+        return [*own, *await serving.groups.states(None)]
+    found = await serving.groups.states(of_groups)
+    listed = {one["name"] for one in found}
+    more = [await serving.groups.state(name) for name in (also or ())[:MAX_ALSO] if name not in listed]
+    found += [one for one in more if one is not None]
+    serving.groups.look([str(one["name"]) for one in found])
+    return [*own, *found]
 
 
 @routes.get("/{name}", response_model=PointState, dependencies=READ, responses=OF_A_POINT)
 async def point(name: str, serving: Shared) -> Tree:
     """One point."""
     await serving.require_point(name)
-    return await point_state(serving, name)
+    return await serving.groups.state(name) or await point_state(serving, name)
 
 
 @routes.get(

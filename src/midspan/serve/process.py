@@ -70,6 +70,7 @@ async def _sending(serving: Serving) -> None:
     while True:
         await asyncio.sleep(SEND_S)
         serving.live.send()
+        await serving.watch()
         # That no process measures any more comes in no message of its.
         if serving.link.reason != reason:
             reason = serving.link.reason

@@ -4,7 +4,7 @@ that each may run in a thread or in a process of its own.
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -61,10 +61,24 @@ def has_point(where: str, point: str) -> bool:
         return store.has_point(point)
 
 
-def known_points(where: str) -> list[str]:
-    """The points of which rows are kept."""
+def known_points(where: str) -> tuple[list[str], list[str]]:
+    """The points and the groups of which rows are kept."""
     with opened(where) as store:
-        return store.points
+        return store.points, store.groups
+
+
+def first_of_groups(points: Sequence[str], groups: Collection[str], most: int | None) -> list[str]:
+    """Points by name, of each group this many at most; None: all."""
+    counts = dict.fromkeys(groups, 0)
+    found = []
+    for point in points:
+        group, _, number = point.rpartition("-")
+        if most is not None and number.isdecimal() and group in counts:
+            counts[group] += 1
+            if counts[group] > most:
+                continue
+        found.append(point)
+    return found
 
 
 def newest_ns(where: str, point: str) -> int | None:

@@ -19,10 +19,11 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from midspan.serve import reading
+from midspan.serve import groups, reading
 from midspan.serve.access import Access
 from midspan.serve.attempts import Attempts
 from midspan.serve.engine_link import EngineLink
+from midspan.serve.groups import GroupTables
 from midspan.serve.problems import Problem
 from midspan.serve.viewers import LiveRows
 from midspan.service.live_socket import Tree, of_ready
@@ -81,6 +82,13 @@ class Worker:
 
 
 RETRY = {"Retry-After": "5"}
+
+
+def counted(group: Tree) -> Tree:
+    """What is reported to viewers of a group: how many points stand how, without what changes all the time."""
+    return {key: group[key] for key in ("group", "numbers", "reasons", "statuses")}
+
+
 # What is reported to viewers of a source that is wrong.
 WRONG = ("point", "source", "reason", "text")
 # What changes from one state to the next; viewers count it down alone.
@@ -135,12 +143,13 @@ class Serving:
     following: asyncio.Lock = field(default_factory=asyncio.Lock)
     access: Access = field(init=False)
     link: EngineLink = field(init=False)
+    groups: GroupTables = field(init=False)
     live: LiveRows = field(default_factory=LiveRows)
     quick: Worker = field(default_factory=lambda: Worker(thread))
     long: Worker = field(default_factory=lambda: Worker(process))
     files: Worker = field(default_factory=lambda: Worker(process))
     hashing: Worker = field(default_factory=lambda: Worker(lambda: ThreadPoolExecutor(1, thread_name_prefix="argon2")))
-    _points: tuple[float, list[str]] = (-POINTS_S, [])
+    _points: tuple[float, tuple[list[str], list[str]]] = (-POINTS_S, ([], []))
     _newest: dict[str, tuple[float, Tree]] = field(default_factory=dict)
     _spans: dict[str, tuple[float, dict[int, list[Tree]]]] = field(default_factory=dict)
     # What was reported to viewers last: how each point stands, and what is wrong.
@@ -152,6 +161,7 @@ class Serving:
         folder = place_of(self.where)
         self.access = Access(folder)
         self.link = EngineLink(folder, self._came)
+        self.groups = GroupTables(self.link)
 
     def _came(self, head: Tree, body: bytes) -> None:
         if head["kind"] == "rows":
@@ -173,19 +183,24 @@ class Serving:
         named = self.link.hello.get("site_file")
         return self.site_file or (Path(named) if named else None)
 
-    async def points(self) -> list[str]:
-        """The names of all points: those that are measured, or those that the store has rows of."""
+    async def points(self, of_groups: int | None = None) -> list[str]:
+        """The names of all points that are measured but those of groups, or of those that the store has rows of.
+
+        of_groups: of each group of the store this many at most.
+        """
         if self.link.state:
             return [str(one["point"]) for one in self.link.state["points"]]
-        then_s, names = self._points
+        then_s, known = self._points
         if time.monotonic() - then_s > POINTS_S:
-            names = await self.quick.run(reading.known_points, self.where)
-            self._points = (time.monotonic(), names)
-        return names
+            known = await self.quick.run(reading.known_points, self.where)
+            self._points = (time.monotonic(), known)
+        return reading.first_of_groups(*known, of_groups)
 
     async def require_point(self, name: str) -> None:
         """Raises Problem for a name that is no point's."""
-        if name in await self.points() or await self.quick.run(reading.has_point, self.where, name):
+        if self.groups.place(name) is not None or name in await self.points():
+            return
+        if await self.quick.run(reading.has_point, self.where, name):
             return
         raise Problem(404, f"{name}: is not a point of this site. GET /api/v1/points lists them.")
 
@@ -208,6 +223,13 @@ class Serving:
             spans = await self.quick.run(reading.calibrated_rows, self.where, name)
             self._spans[name] = (time.monotonic(), spans)
         return spans
+
+    async def watch(self) -> None:
+        """Let rows of points of groups come that viewers name."""
+        if not self.live.viewers or self.link.reason:
+            return
+        if points := frozenset(one for one in self.live.named | self.groups.looked if self.groups.place(one)):
+            await self.groups.watch(points)
 
     def since_ns(self, name: str) -> int | None:
         """When a point's status and reason became what they are, ns UTC; None where nothing measures it."""
@@ -241,6 +263,7 @@ class Serving:
             "sources": [{key: one[key] for key in WRONG} for one in standing["sources"] if one["reason"]],
             "settings": standing["settings"],
             "has_settings": standing["has_settings"],
+            "groups": [counted(one) for one in standing["groups"]],
         }
         before, wrong_before = self._reported
         changed = [one for name, one in now.items() if _lasting(one) != _lasting(before.get(name, {}))]
@@ -253,14 +276,23 @@ class Serving:
         """As /readyz shows it: of the newest state, or why there is none."""
         reason, site = self.link.reason, {"has_settings": self.settings_file is not None}
         if not reason and self.link.state:
-            points = [of_ready(one) for one in self.link.state["points"]]
-            return {**{key: self.link.state[key] for key in ("ready", "sources", "settings")}, "points": points, **site}
+            own = self.link.state.get("groups", [])
+            points = [of_ready(one) for one in self.link.state["points"]] + groups.ready(own)
+            state = {key: self.link.state[key] for key in ("ready", "sources", "settings")}
+            return {**state, "points": points, "groups": own, **site}
         reason = reason or "starting"
         source = {"point": "", "source": "engine", "reason": reason, "text": sentence(reason)}
         old = self.link.state or {"points": [], "sources": [], "settings": None}
         kept = [one for one in old["sources"] if one["source"] != "engine"] if reason == "engine_silent" else []
         points = [of_ready(one) for one in old["points"]] if reason == "engine_silent" else []
-        return {"ready": False, "points": points, "sources": [source, *kept], "settings": old["settings"], **site}
+        return {
+            "ready": False,
+            "points": points,
+            "groups": [],
+            "sources": [source, *kept],
+            "settings": old["settings"],
+            **site,
+        }
 
     def close(self) -> None:
         """End the workers."""

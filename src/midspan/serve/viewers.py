@@ -52,6 +52,11 @@ class Viewer:
             self.bytes += len(text)
         self.some.set()
 
+    @property
+    def named(self) -> frozenset[str]:
+        """The points whose rows it asks for by name."""
+        return self.points or frozenset()
+
     def gets(self, point: str) -> bool:
         """Whether a point's rows are for it."""
         return self.points is None or point in self.points
@@ -90,6 +95,11 @@ class LiveRows:
     def viewers(self) -> int:
         """How many there are."""
         return len(self._viewers)
+
+    @property
+    def named(self) -> frozenset[str]:
+        """The points whose rows viewers ask for by name."""
+        return frozenset().union(*(one.named for one in self._viewers))
 
     def came(self, point: str, rows: bytes) -> None:
         """Rows of the engine."""

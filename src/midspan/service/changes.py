@@ -3,12 +3,13 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
+from midspan.settings.group import GroupPlan
 from midspan.settings.site import PointPlan, Site, captures_of
 
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """Names of points: those that begin, those that end and begin anew with other settings, and those that end."""
+    """Names of points and groups: of those that begin, end and begin anew with other settings, and end."""
 
     added: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
@@ -17,8 +18,7 @@ class Changes:
     @classmethod
     def between(cls, before: Site | None, after: Site) -> "Changes":
         """From one site to another; before: None where none runs. Alarms are no reason to begin a point anew."""
-        old = {} if before is None else {plan.name: _measuring(plan) for plan in before.points}
-        new = {plan.name: _measuring(plan) for plan in after.points}
+        old, new = {} if before is None else _measuring(before), _measuring(after)
         moved = before is not None and captures_of(before) != captures_of(after)
         return cls(
             tuple(name for name in new if name not in old),
@@ -52,6 +52,8 @@ class Changes:
         return {"added": list(self.added), "changed": list(self.changed), "removed": list(self.removed)}
 
 
-def _measuring(plan: PointPlan) -> PointPlan:
-    """A plan without what measures nothing."""
-    return replace(plan, alarms=())
+def _measuring(site: Site) -> dict[str, PointPlan | GroupPlan]:
+    """The plans of points and groups by name, without what measures nothing."""
+    return {plan.name: replace(plan, alarms=(), place=0) for plan in site.points} | {
+        plan.name: plan for plan in site.groups
+    }

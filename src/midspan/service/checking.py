@@ -4,7 +4,6 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from midspan.errors import DataError
-from midspan.recording.tracking.opening import require_inside
 from midspan.service.mqtt import tls_context
 from midspan.service.running import Running, drafted
 from midspan.settings.camera import CameraSettings
@@ -37,6 +36,8 @@ def checked(site: Site, names: Collection[str], sizes_px: Mapping[str, tuple[int
 
 
 def _require_sources(plan: PointPlan, file: Path, sizes_px: Mapping[str, tuple[int, int]]) -> None:
+    from midspan.recording.tracking.opening import require_inside
+
     for name, kind, section in plan.recording.streams:
         address, where = plan.sources[name], f"{file}: point {plan.name!r}: {name}"
         if address.startswith(REPLAY):

@@ -34,7 +34,8 @@ Answer = tuple[Tree, bytes]
 class Commands:
     """points: of the site; paused: which sources are; tell: takes a point, the kind of an event and its text.
 
-    with_store: runs a function with a store of its own in a thread; alarms: commands of theirs by name.
+    with_store: runs a function with a store of its own in a thread; others: commands of alarms and groups by name;
+    table: how the points of a group stand.
     """
 
     def __init__(
@@ -43,7 +44,8 @@ class Commands:
         paused: Paused,
         tell: Callable[[Running, str, str], None],
         with_store: Callable[..., Awaitable[Any]],
-        alarms: Mapping[str, Callable[[Tree], Tree]] | None = None,
+        others: Mapping[str, Callable[[Tree], Tree]] | None = None,
+        table: Callable[[Tree], Awaitable[Answer]] | None = None,
     ) -> None:
         self._points, self._paused, self._tell, self._with_store = points, paused, tell, with_store
         self._table: dict[str, Callable[[Tree], Awaitable[Answer]]] = {
@@ -55,16 +57,18 @@ class Commands:
             "picture": self._picture,
             "profile": self._profile,
         }
-        self._alarms = dict(alarms or {})
+        if table is not None:
+            self._table["group"] = table
+        self._others = dict(others or {})
 
     async def run(self, head: Tree) -> Answer:
         """Carry out one command. Raises MidspanError where that is not possible."""
         name = str(head.get("command"))
-        if name in self._alarms:
-            return self._alarms[name](head), b""
+        if name in self._others:
+            return self._others[name](head), b""
         command = self._table.get(name)
         if command is None:
-            listed = ", ".join([*self._table, *self._alarms])
+            listed = ", ".join([*self._table, *self._others])
             raise MidspanError(f"{name}: is not a command. Commands: {listed}.")
         return await command(head)
 
@@ -91,7 +95,7 @@ class Commands:
         by, why = f" by {who}" if who else "", f": {reason}" if reason else "."
         text = f"{one.name}: calibration {number} is refused{by}{why}"
         one.live.offer_refused()
-        if (note := self._alarms.get("note")) is not None:
+        if (note := self._others.get("note")) is not None:
             note({"about": calibration_id(one.name, number), "what": "calibration refused", "who": who, "text": reason})
         self._tell(one, "command", text)
         return {"text": text}, b""

@@ -9,8 +9,8 @@ from midspan.errors import MidspanError
 from midspan.store.database import StoreFault
 from midspan.store.store import Batch, Store, open_store
 
-# Held back at most, in batches of a point and second: an hour of five points.
-MAX_WAITING = 18_000
+# Held back at most, in batches of a point and second: an hour of five points. Of groups this many rows are as much.
+MAX_WAITING, GROUP_ROWS = 18_000, 500
 
 
 def written_bytes() -> int | None:
@@ -20,6 +20,11 @@ def written_bytes() -> int | None:
     except OSError:
         return None
     return next((int(line.split()[1]) for line in lines if line.startswith("write_bytes")), None)
+
+
+def weight(batch: Batch) -> int:
+    """What a batch that waits counts for."""
+    return 1 + sum(len(one.rows.std_m) for one in batch.groups) // GROUP_ROWS
 
 
 class Keeper:
@@ -34,6 +39,7 @@ class Keeper:
         self._where, self._points = where, points
         self._store: Store | None = None
         self._waiting: deque[Batch] = deque()
+        self._weight, self._counting = 0, threading.Lock()
         self._in_use = threading.RLock()
         self.reason, self.text, self.dropped = "", "", 0
 
@@ -44,12 +50,14 @@ class Keeper:
 
     def put(self, batch: Batch) -> None:
         """Queue a batch; of too many the oldest is lost, and counted."""
-        if not (batch.chunks or batch.events or batch.checkpoints):
+        if not (batch.chunks or batch.events or batch.checkpoints or batch.groups):
             return
-        self._waiting.append(batch)
-        if len(self._waiting) > MAX_WAITING:
-            self._waiting.popleft()
-            self.dropped += 1
+        with self._counting:
+            self._waiting.append(batch)
+            self._weight += weight(batch)
+            while self._weight > MAX_WAITING and len(self._waiting) > 1:
+                self._weight -= weight(self._waiting.popleft())
+                self.dropped += 1
 
     def store(self) -> Store:
         """The open store; raises StoreFault, and UsageError for a point that another process writes."""
@@ -114,8 +122,10 @@ class Keeper:
             batch = self._waiting[0]
             store.write(batch)
             # Of too many `put` may have dropped it meanwhile.
-            if self._waiting and self._waiting[0] is batch:
-                self._waiting.popleft()
+            with self._counting:
+                if self._waiting and self._waiting[0] is batch:
+                    self._waiting.popleft()
+                    self._weight -= weight(batch)
         self.reason = self.text = ""
 
     def _close(self) -> None:

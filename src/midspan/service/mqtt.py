@@ -6,17 +6,19 @@ import secrets
 import ssl
 import sys
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Event
-from midspan.settings.site import MqttSettings
+from midspan.service.packets import acknowledgements, parts, publication
+from midspan.service.whole_site import WholeSite
+from midspan.settings.site import MqttSettings, Shard
 from midspan.sources.live.blocks import MAX_BYTES, RESULT, Block, pack
 from midspan.store.chunk import Chunk
 
@@ -30,6 +32,8 @@ MAX_QUEUED = 10_000
 # Messages that the broker may have on their way to us: all that MQTT allows. They are acknowledged once a second, and
 # with a broker's own limit (Mosquitto's is 20) no more than that would come in a second.
 MAX_UNACKNOWLEDGED = 65_535
+# Topics of one packet that subscribes to them.
+MAX_SUBSCRIBED = 1000
 # The pause before the next attempt where another service with our name ended the connection, s: doubled each time, so
 # that the two do not end each other once a second.
 NAME_TAKEN_S, MAX_NAME_TAKEN_S = 30, 960
@@ -55,12 +59,20 @@ def tls_context(settings: MqttSettings, folder: Path) -> ssl.SSLContext | None:
     return context
 
 
+class Bulk(Protocol):
+    """Where messages of topics go that are read together; called from the broker's thread."""
+
+    def put(self, place: int, payload: bytes, receipt: tuple[int, int]) -> bool:
+        """Queue a message; receipt: what it is acknowledged with later. Whether there was room: it is lost if not."""
+
+
 class Broker:
     """A connection that is opened again when it is lost.
 
     taken: called from its thread with topic, payload and a function that acknowledges the message, once what came of it
-    is kept. folder: that the certificates' names are relative to. announced: whole topics and what
-    is retained there. Raises UsageError for a certificate that is none.
+    is kept; bulk: topics whose messages go elsewhere, with their place there. folder: that the certificates' names are
+    relative to. announced: whole topics and what is retained there. max_bytes: of a message. shard: that runs a part
+    of the site. Raises UsageError for a certificate that is none.
     """
 
     def __init__(
@@ -71,27 +83,28 @@ class Broker:
         taken: Callable[[str, bytes, Callable[[], None]], None],
         folder: Path = Path(),
         announced: Mapping[str, str] | None = None,
+        bulk: Mapping[str, tuple[Bulk, int]] | None = None,
+        max_bytes: int = MAX_BYTES,
+        shard: Shard | None = None,
     ) -> None:
-        import paho.mqtt.client as mqtt
-        from paho.mqtt.enums import CallbackAPIVersion
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
         self.connected, self._reason = False, "starting"
         self._settings, self._topics, self._taken = settings, dict(topics), taken
-        self._announced = dict(announced or {})
+        self._announced, self._bulk = dict(announced or {}), dict(bulk or {})
         # Topics of which nothing is to be retained any more, which the broker does not know yet.
         self._cleared: set[str] = set()
         self.root = f"{settings.prefix}/v1/{site}"
-        client = mqtt.Client(
-            CallbackAPIVersion.VERSION2, client_id=f"midspan-{site}", protocol=mqtt.MQTTv5, manual_ack=True
-        )
-        if settings.user is not None:
-            secret = settings.password.get_secret_value() if settings.password else None
-            client.username_pw_set(settings.user, secret)
-        if (context := tls_context(settings, folder)) is not None:
-            client.tls_set_context(context)
-        client.will_set(f"{self.root}/available", "offline", qos=1, retain=True)
+        # Where it says that it is there; of a shard, whose session knows nothing of another number of them, its own.
+        place = self.root if shard is None else f"{self.root}/{shard.name}"
+        name = f"midspan-{site}" if shard is None else f"midspan-{site}-{shard.name}-of-{shard.count}"
+        self._available = f"{place}/available"
+        client = _client(settings, name, folder, manual_ack=True)
+        self._whole = None
+        if shard is not None and shard.number == 1:
+            self._whole = WholeSite(_client(settings, f"{name}-site", folder), self.root, shard.count)
+        client.will_set(self._available, "offline", qos=1, retain=True)
         client.max_queued_messages_set(MAX_QUEUED)
         client.reconnect_delay_set(AGAIN_S, AGAIN_S)
         client.on_connect, client.on_disconnect, client.on_message = self._met, self._left, self._came
@@ -99,9 +112,9 @@ class Broker:
         self._session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         self._session.SessionExpiryInterval = SESSION_S
         self._session.ReceiveMaximum = MAX_UNACKNOWLEDGED
-        self._session.MaximumPacketSize = MAX_BYTES
+        self._session.MaximumPacketSize = max_bytes
         # Which process holds the site's name is a retained message: brokers do not say who ended a connection.
-        self._own, self._holder = secrets.token_hex(8).encode(), f"{self.root}/service"
+        self._own, self._holder = secrets.token_hex(8).encode(), f"{place}/service"
         self._connections, self._connected_s, self._pause_s = 0, 0.0, NAME_TAKEN_S
         self._client = client
 
@@ -127,23 +140,35 @@ class Broker:
             properties=self._session,
         )
         self._client.loop_start()
+        if self._whole is not None:
+            self._whole.start(self._settings.host, self._settings.port, KEEP_ALIVE_S)
 
-    def change(self, topics: Mapping[str, int], announced: Mapping[str, str], removed: Collection[str] = ()) -> None:
+    def change(
+        self,
+        topics: Mapping[str, int],
+        announced: Mapping[str, str],
+        removed: Collection[str] = (),
+        bulk: Mapping[str, tuple[Bulk, int]] | None = None,
+    ) -> None:
         """Listen to these topics in place of those before, and retain these announcements. removed: names of points of
         which nothing is to be retained any more.
         """
         old, fresh = self._topics.keys() - topics.keys(), topics.items() - self._topics.items()
         new = dict(announced.items() - self._announced.items())
         self._cleared |= (self._announced.keys() - announced.keys()) | {f"{self.root}/{one}/state" for one in removed}
-        self._topics, self._announced = dict(topics), dict(announced)
+        self._topics, self._announced, self._bulk = dict(topics), dict(announced), dict(bulk or {})
         if not self.connected:
             # The next connection does the rest.
             return
         if old:
             self._client.unsubscribe(list(old))
-        if fresh:
-            self._client.subscribe(list(fresh))
+        self._subscribe(list(fresh))
         self._retain(new)
+
+    def _subscribe(self, topics: Sequence[tuple[str, int]]) -> None:
+        """Listen to topics, in packets that a broker takes."""
+        for first in range(0, len(topics), MAX_SUBSCRIBED):
+            self._client.subscribe(list(topics[first : first + MAX_SUBSCRIBED]))
 
     def _retain(self, announced: Mapping[str, str]) -> None:
         """Retain announcements, and clear what is to be retained no more: with an empty message, as MQTT has it."""
@@ -155,8 +180,10 @@ class Broker:
 
     def stop(self) -> None:
         """Say that the site is off, and leave."""
+        if self._whole is not None:
+            self._whole.stop()
         if self.connected:
-            self._client.publish(f"{self.root}/available", "offline", qos=1, retain=True).wait_for_publish(2.0)
+            self._client.publish(self._available, "offline", qos=1, retain=True).wait_for_publish(2.0)
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -166,6 +193,22 @@ class Broker:
             self._cleared.discard(f"{self.root}/{topic}")
         if self.connected or qos:
             self._client.publish(f"{self.root}/{topic}", payload, qos=qos, retain=retain)
+
+    def publish_all(self, messages: Iterable[tuple[str, bytes]]) -> None:
+        """Send messages below the site's topic, many in a packet; called in any thread. Without a broker none waits."""
+        if self.connected:
+            self._send(publication(f"{self.root}/{topic}", payload) for topic, payload in messages)
+
+    def acknowledge(self, receipts: Sequence[tuple[int, int]]) -> None:
+        """Acknowledge messages of topics that are read together; those of an earlier connection come again."""
+        numbers = [number for connection, number in receipts if connection == self._connections and number]
+        if self.connected and numbers:
+            self._send([acknowledgements(numbers)])
+
+    def _send(self, packets: Iterable[bytes]) -> None:
+        """Send packets as they are. The client has no name of its own for that: it takes any bytes as a packet."""
+        for part in parts(packets):
+            self._client._packet_queue(0, part, 0, 0)
 
     def deliver(self, topic: str, payload: bytes, *, retain: bool, wait_s: float) -> Any:
         """Send below the site's topic; what is returned says by `is_published()` whether the broker has it, for which
@@ -188,10 +231,10 @@ class Broker:
         client.reconnect_delay_set(AGAIN_S, AGAIN_S)
         self.connected, self._reason, self._connected_s = True, "", time.monotonic()
         self._connections += 1
-        client.subscribe([(self._holder, 1), *self._topics.items()])
+        self._subscribe([(self._holder, 1), *self._topics.items()])
         client.publish(self._holder, self._own, qos=1, retain=True)
         self._retain(self._announced)
-        self.publish("available", "online", qos=1, retain=True)
+        client.publish(self._available, "online", qos=1, retain=True)
 
     def _not_met(self, _client: Any, _data: Any) -> None:
         # Paho calls this while it handles what went wrong.
@@ -204,8 +247,12 @@ class Broker:
         self.connected = False
 
     def _came(self, client: Any, _data: Any, message: Any) -> None:
-        number, qos = message.mid, message.qos
-        if message.topic == self._holder:
+        number, qos, topic = message.mid, message.qos, message.topic
+        if (place := self._bulk.get(topic)) is not None:
+            if not place[0].put(place[1], message.payload, (self._connections, number if qos else 0)) and qos:
+                client.ack(number, qos)
+            return
+        if topic == self._holder:
             client.ack(number, qos)
             # At the first connection it is a process that ended, most likely our own before a restart.
             if message.retain and message.payload != self._own and self._connections > 1:
@@ -213,7 +260,22 @@ class Broker:
                 client.reconnect_delay_set(self._pause_s, self._pause_s)
                 self._reason, self._pause_s = "name_taken", min(2 * self._pause_s, MAX_NAME_TAKEN_S)
             return
-        self._taken(message.topic, bytes(message.payload), lambda: client.ack(number, qos) if qos else None)
+        self._taken(topic, bytes(message.payload), lambda: client.ack(number, qos) if qos else None)
+
+
+def _client(settings: MqttSettings, name: str, folder: Path, *, manual_ack: bool = False) -> Any:
+    """A client of a name with the settings of a broker, not connected yet."""
+    import paho.mqtt.client as mqtt
+    from paho.mqtt.enums import CallbackAPIVersion
+
+    version = CallbackAPIVersion.VERSION2
+    client = mqtt.Client(version, client_id=name, protocol=mqtt.MQTTv5, manual_ack=manual_ack)
+    if settings.user is not None:
+        secret = settings.password.get_secret_value() if settings.password else None
+        client.username_pw_set(settings.user, secret)
+    if (context := tls_context(settings, folder)) is not None:
+        client.tls_set_context(context)
+    return client
 
 
 def even_parts(rows: Chunk) -> list[Chunk]:

@@ -16,12 +16,6 @@ from midspan.engine.sensors import CameraSensor, RadarSensor
 from midspan.errors import DataError
 from midspan.notices import Notice
 from midspan.progress import silent
-from midspan.recording.estimate import Asked
-from midspan.recording.messages import require_same_sensors
-from midspan.recording.point import clock_offsets_ns
-from midspan.recording.run import records_of
-from midspan.recording.streams.recording import open_recording
-from midspan.recording.tracked import open_tracked_cameras
 from midspan.records import (
     NANOSECONDS,
     Arrival,
@@ -89,6 +83,14 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
     those of any given one. push: give the point the recording's own records, from which its rows begin. Raises what
     `estimate` raises.
     """
+    # Here, so that a service is back soon, and one of groups never needs them.
+    from midspan.recording.estimate import Asked
+    from midspan.recording.messages import require_same_sensors
+    from midspan.recording.point import clock_offsets_ns
+    from midspan.recording.run import records_of
+    from midspan.recording.streams.recording import open_recording
+    from midspan.recording.tracked import open_tracked_cameras
+
     recording = open_recording(folder)
     method = recording.settings.fusion.method
     require_same_sensors(recording, calibration)

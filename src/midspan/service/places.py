@@ -3,7 +3,7 @@
 import hashlib
 import os
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs, urlsplit
 
 from midspan.store.store import is_address
 
@@ -13,6 +13,9 @@ def place_of(where: str | Path) -> Path:
     if not is_address(where):
         return Path(where)
     parts = urlsplit(str(where))
-    known = f"{parts.hostname}:{parts.port or 5432}{parts.path}".encode()
+    known = f"{parts.hostname}:{parts.port or 5432}{parts.path}"
+    # Each shard of a site has its own.
+    named = parse_qs(parts.query).get("application_name", [""])[-1]
+    known += named * named.startswith("midspan-shard-")
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
-    return state / "midspan" / hashlib.sha256(known).hexdigest()[:16]
+    return state / "midspan" / hashlib.sha256(known.encode()).hexdigest()[:16]

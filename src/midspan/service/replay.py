@@ -27,8 +27,8 @@ from midspan.records import NANOSECONDS, Arrival, Complete, Event, RangeFrame, R
 from midspan.service.calibrations import settings_json
 from midspan.service.journal import ROWS, SHOWN, Journal
 from midspan.service.stored_recording import FIRST_NS, LAST_NS
+from midspan.settings.group import is_a_point
 from midspan.settings.kinds import KINDS
-from midspan.settings.site import is_a_point
 from midspan.settings.stored.calibration import Calibration
 from midspan.store.chunk import Chunk
 from midspan.store.store import Batch, Store

@@ -6,13 +6,12 @@ The stamps of all streams of one recording are moved by the same time, so that t
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from midspan.errors import DataError
 from midspan.radar.chirp import RadarInfo
-from midspan.recording.streams.recording import Recording, open_recording
 from midspan.records import NANOSECONDS, RangeFrame, Readings
 from midspan.service.opening import BLOCK_S
 from midspan.service.reasons import sentence
@@ -20,11 +19,16 @@ from midspan.settings.kinds import ACCELEROMETER, AUXILIARY
 from midspan.sources.live.camera import Stamped, StampKind
 from midspan.sources.live.instants import SourceFault
 
+if TYPE_CHECKING:
+    from midspan.recording.streams.recording import Recording
 
-def _opened(address: str) -> tuple[Recording, str, str, int]:
+
+def _opened(address: str) -> tuple["Recording", str, str, int]:
     """The recording of `replay:RECORDING@START#SENSOR:AXIS`, the sensor, the image axis that is meant where the
     recording has both, and by how much its stamps are moved, so that the accelerometer begins at START (ns UTC).
     """
+    from midspan.recording.streams.recording import open_recording
+
     rest, _, stream = address.removeprefix("replay:").rpartition("#")
     path, _, start = rest.rpartition("@")
     sensor, _, axis = stream.partition(":")
@@ -32,7 +36,7 @@ def _opened(address: str) -> tuple[Recording, str, str, int]:
     return recording, sensor, axis, int(start) - int(recording.acceleration.time_ns[0])
 
 
-def _along(recording: Recording, axis: str) -> Recording:
+def _along(recording: "Recording", axis: str) -> "Recording":
     """A recording along one of its two image axes; one that has a single axis as it is."""
     across = recording.across
     if across is None or axis != across.axis:
@@ -42,7 +46,7 @@ def _along(recording: Recording, axis: str) -> Recording:
     return across
 
 
-def _view(recording: Recording, sensor: str) -> Any:
+def _view(recording: "Recording", sensor: str) -> Any:
     view = next((view for view in recording.views if view.sensor == sensor), None)
     if view is None:
         raise DataError(f"{recording.file}: has no [{sensor}].")
@@ -75,6 +79,8 @@ def range_frames(address: str) -> Iterator[tuple[float, RangeFrame]]:
 
 def radar_info(address: str, sensor: str) -> RadarInfo:
     """What is known of the radar of a recording at `address`."""
+    from midspan.recording.streams.recording import open_recording
+
     info: RadarInfo = _view(open_recording(address), sensor).radar.info
     return info
 

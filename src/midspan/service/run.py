@@ -1,6 +1,7 @@
 """The shell of a live site's points: the only place with a clock, threads and an event loop above the engine."""
 
 import asyncio
+import itertools
 import json
 import math
 import time
@@ -16,13 +17,16 @@ from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.alarming import Alarming
 from midspan.service.beginning import begin
-from midspan.service.calibrations import accepted, added, calibrated_folder, loaded
+from midspan.service.calibrations import added, calibrated_folder, loaded
 from midspan.service.changes import Changes
 from midspan.service.changing import end_points, look_at_calibration
 from midspan.service.checking import checked
 from midspan.service.commands import Commands
 from midspan.service.cutting import needed
 from midspan.service.discovery import announcements
+from midspan.service.ending import until_stopped
+from midspan.service.group import max_bytes_of
+from midspan.service.groups import Given, Groups, ended_points, group_sources
 from midspan.service.intake import MQTT, Intake
 from midspan.service.journal import NEW_DATUM, ROWS
 from midspan.service.keeping import Keeper, written_bytes
@@ -34,19 +38,19 @@ from midspan.service.paused import Paused
 from midspan.service.places import place_of
 from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
+from midspan.service.retention import archived
 from midspan.service.running import Running, drafted, line_of, sizes_of
+from midspan.service.topic_commands import TopicCommands
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site
-from midspan.store.archive import archive
 from midspan.store.database import StoreFault
 from midspan.store.store import Batch, Store, open_store
 
-TICK_S, WRITE_S, LOG_S = 0.05, 1.0, 60.0
+TICK_S, FIRST_S, WRITE_S, LOG_S = 0.05, 0.2, 1.0, 60.0
+# The first times that all is written follow one another after FIRST_S.
+FIRST = 5
 # Days are archived, and removed once they are too old, so often.
-SWEEP_S, DAY_S = 3600.0, 86_400.0
-COMMANDS = ("calibrate", "accept")
-# Of a command's payload no more bytes are looked at: a calibration's number has fewer.
-MAX_WANTED = 20
+SWEEP_S = 3600.0
 
 
 class Service:
@@ -62,13 +66,17 @@ class Service:
         socket: LiveSocket | None = None,
     ) -> None:
         self.site, self._say, self._note, self._socket = site, say, note, socket
-        self._keeper = Keeper(site.store, [plan.name for plan in site.points])
+        self._keeper = Keeper(site.store, site.names)
+        self._groups = Groups(self._keeper.put, say)
         self._points = drafted(site, [plan.name for plan in site.points])
         self.sizes_px = partial(sizes_of, self._points)
         self._intake = Intake(self._points, site.file.parent, self._begin_job, self._event)
         self._paused = paused = Paused(place_of(site.store))
         self._alarms = Alarming(site, say, lambda tree: None if socket is None else socket.publish(tree))
-        self._commands = Commands(self._points, paused, self._event, self._in_thread, self._alarms.commands)
+        commands = {**self._alarms.commands, "watch": self._groups.watch}
+        self._commands = Commands(self._points, paused, self._event, self._in_thread, commands, self._groups.table)
+        heard = (self._points, self._event, self._publish_event, self._begin, self._in_thread)
+        self._topic_commands = TopicCommands(*heard, self._groups.has_point)
         self._pause(self._points)
         self._broker: Broker | None = None
         self._stop = asyncio.Event()
@@ -103,6 +111,7 @@ class Service:
         self._failing = self._loop.create_future()
         self._intake.start_cameras(self._points)
         begun = [asyncio.create_task(self._patiently(partial(self._begin_point, one))) for one in self._points]
+        begun += [asyncio.create_task(self._patiently(self._begin_groups))] * bool(self.site.groups)
         try:
             await asyncio.gather(*begun)
         except BaseException:
@@ -123,8 +132,8 @@ class Service:
             self._failing,
         ]
         self.begun = True
-        self._say(f"{self.site.name}: {len(self._points)} points run.")
-        failed = await self._until_stopped(tasks, for_s)
+        self._say(f"{self.site.name}: {len(self._points) + self._groups.points} points run.")
+        failed = await until_stopped(self._stop, tasks, for_s)
         notify("STOPPING=1")
         last = self.record()
         for task in tasks:
@@ -162,23 +171,6 @@ class Service:
                 await asyncio.wait_for(self._stop.wait(), WRITE_S)
         return False
 
-    async def _until_stopped(self, tasks: Sequence[asyncio.Future[Any]], for_s: float | None) -> BaseException | None:
-        """Wait until `stop`, the end of the time, or a task's failure, which is returned: without it nothing would be
-        kept any more, and a service manager starts the whole again.
-        """
-        stopping = asyncio.create_task(self._stop.wait())
-        waiting: set[asyncio.Future[Any]] = {stopping, *tasks}
-        end_s = math.inf if for_s is None else time.monotonic() + for_s
-        while not self._stop.is_set() and (left_s := end_s - time.monotonic()) > 0.0:
-            timeout = None if left_s == math.inf else left_s
-            done, waiting = await asyncio.wait(waiting, timeout=timeout, return_when=asyncio.FIRST_COMPLETED)
-            failed = next((task.exception() for task in done if task.exception() is not None), None)
-            if failed is not None:
-                stopping.cancel()
-                return failed
-        stopping.cancel()
-        return None
-
     def stop(self) -> None:
         """End the run soon."""
         self._stop.set()
@@ -194,6 +186,7 @@ class Service:
         if self._broker is not None:
             await asyncio.to_thread(self._broker.stop)
         self._collect(last=True)
+        await asyncio.to_thread(self._groups.second, time.time_ns(), None)
         try:
             for one in self._points:
                 one.live.end()
@@ -214,6 +207,11 @@ class Service:
 
     def _begin_from(self, one: Running, store: Store) -> None:
         begin(one, store, self.site.file.parent, self._say)
+
+    def _begin_groups(self) -> None:
+        """Groups go on from what the store has of them, those that run already as they are; called in a thread."""
+        with closing(open_store(self.site.store)) as store:
+            self._groups.begin(self.site.groups, store)
 
     def _begin_job(self, one: Running) -> None:
         if one.live.job is not None and not one.busy:
@@ -292,7 +290,7 @@ class Service:
             changes = Changes.between(self.site, site)
             fresh = await asyncio.to_thread(checked, site, changes.beginning, self.sizes_px())
             if changes.added:
-                names = dict.fromkeys(plan.name for one in (self.site, site) for plan in one.points)
+                names = dict.fromkeys((*self.site.names, *site.names))
                 await asyncio.to_thread(self._keeper.lock, list(names))
         except BaseException:
             self._changing.release()
@@ -316,13 +314,15 @@ class Service:
             self._points[:] = [named[plan.name] for plan in site.points]
             before, self.site = self.site, site
             await self._alarms.change(site)
+            if before.groups != site.groups:
+                await self._patiently(self._change_groups)
             await self._change_broker(before)
             await self._begin_points(fresh)
             for one in self._points:
                 if one.live.plan.settings.calibration is not None and one not in fresh:
                     await look_at_calibration(one, site.file.parent, self._in_thread, self._event)
             if changes.removed:
-                await asyncio.to_thread(self._keeper.lock, [plan.name for plan in site.points])
+                await asyncio.to_thread(self._keeper.lock, site.names)
         finally:
             self._changing.release()
 
@@ -331,6 +331,11 @@ class Service:
         self._intake.start_cameras(fresh)
         if all(await asyncio.gather(*(self._patiently(partial(self._begin_after, one)) for one in fresh))):
             self._begin_intake(fresh)
+
+    def _change_groups(self) -> None:
+        """Other groups go on from what is kept of them, which what they have given is first; called in a thread."""
+        self._keeper.require()
+        self._begin_groups()
 
     def _begin_after(self, one: Running) -> None:
         """A point goes on from what the one before it has left, which is kept first; called in a thread."""
@@ -346,7 +351,8 @@ class Service:
             self._broker = None
             self._begin_broker()
         elif self._broker is not None:
-            self._broker.change(self._topics, self._announced, Changes.between(before, now).removed)
+            gone = [*Changes.between(before, now).removed, *ended_points(before, now)]
+            self._broker.change(self._topics, self._announced, gone, self._groups.inboxes)
 
     def _pause(self, points: Sequence[Running]) -> None:
         """Leave out what was paused."""
@@ -360,8 +366,11 @@ class Service:
     def _topics(self) -> dict[str, int]:
         """What is listened to at the broker, with the quality of service."""
         assert self.site.settings.mqtt is not None
-        commands = f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}/+/cmd/+"
-        return dict.fromkeys((*self._intake.topics, commands), 1)
+        root = f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}"
+        # A shard leaves the commands of other points to the other shards.
+        named = ["+"] if self.site.shard is None else [one.name for one in self._points]
+        commands = [f"{root}/{name}/cmd/+" for name in named]
+        return dict.fromkeys((*self._intake.topics, *commands, *self._groups.inboxes), 1)
 
     @property
     def _announced(self) -> dict[str, str]:
@@ -372,7 +381,10 @@ class Service:
         mqtt = self.site.settings.mqtt
         if mqtt is None:
             return
-        self._broker = Broker(mqtt, self.site.name, self._topics, self._message, self.site.file.parent, self._announced)
+        self._broker = Broker(
+            mqtt, self.site.name, self._topics, self._message, self.site.file.parent, self._announced,
+            self._groups.inboxes, max_bytes_of(self.site.groups), self.site.shard,
+        )  # fmt: skip
         self._broker.start()
         self._alarms.connect(self._broker)
 
@@ -391,34 +403,7 @@ class Service:
             self._acknowledge.append(acknowledge)
         else:
             acknowledge()
-            name, of_commands, command = ("", "", *topic.split("/"))[-3:]
-            # The broker's session may bring topics of settings before these.
-            if of_commands == "cmd":
-                self._command(name, command, payload[:MAX_WANTED].decode("ascii", "replace").strip())
-
-    def _command(self, name: str, command: str, wanted: str) -> None:
-        """`cmd/calibrate`, or `cmd/accept` with the calibration's number (left out: the newest one offered).
-
-        Each is answered at once with an event; those for no point of the site on the topic of the point that is meant.
-        """
-        one = next((point for point in self._points if point.name == name), None)
-        if one is None:
-            listed = ", ".join(point.name for point in self._points)
-            text = f"{name}: is not a point of this site. Points: {listed}."
-            self._publish_event(name, Event(time.time_ns(), "command", text))
-        elif command == "calibrate":
-            self._event(one, "command", one.live.calibrate())
-        elif command == "accept":
-            self._begin(self._accept(one, wanted))
-        else:
-            self._event(one, "command", f"{name}: cmd/{command} is not a command. Commands: {', '.join(COMMANDS)}.")
-
-    async def _accept(self, one: Running, wanted: str) -> None:
-        number = await asyncio.to_thread(self._with_store, accepted, one.live, wanted)
-        if number is None:
-            self._event(one, "command", f"{one.name}: no calibration {wanted} is offered.".replace("  ", " "))
-        else:
-            one.live.calibrated(number)
+            self._topic_commands.came(topic, payload)
 
     def _event(self, one: Running, kind: str, text: str) -> None:
         now = Event(time.time_ns(), kind, text)
@@ -453,9 +438,11 @@ class Service:
         return [one for one in self._points if not one.beginning]
 
     async def _writing(self) -> None:
-        while True:
-            await asyncio.sleep(WRITE_S)
+        # Soon first: after a restart what the broker has kept is there at once.
+        for pause_s in itertools.chain(itertools.repeat(FIRST_S, FIRST), itertools.repeat(WRITE_S)):
+            await asyncio.sleep(pause_s)
             done = self._collect()
+            self._show(await asyncio.to_thread(self._groups.second, time.time_ns(), self._broker))
             await asyncio.to_thread(self._keeper.write)
             notify("WATCHDOG=1")
             if time.time() - self._swept_s > SWEEP_S:
@@ -480,21 +467,14 @@ class Service:
             if not self._keeper.waiting or self._keeper.reason:
                 for acknowledge in done:
                     acknowledge()
+                if self._broker is not None:
+                    self._broker.acknowledge(self._groups.receipts())
             else:
                 self._acknowledge.extendleft(reversed(done))
 
     def _sweep(self) -> None:
         """Archive the days that are over; then those that are too old may be removed."""
-        folder = self.site.settings.store.archive
-        try:
-            if folder is not None:
-                with closing(open_store(self.site.store)) as store:
-                    for place in archive(store, self.site.file.parent / folder, time.time_ns()):
-                        self._say(f"archive: {place.parent.name}, {place.name}.")
-        except (MidspanError, OSError) as error:
-            self._say(f"archive: {error}; midspan retries in an hour.")
-            return
-        self._old_ns = round((time.time() - DAY_S * self.site.settings.store.keep_days) * NANOSECONDS)
+        self._old_ns = archived(self.site, self._say) or self._old_ns
 
     def _collect(self, *, last: bool = False) -> list[Callable[[], None]]:
         """What every point has to keep, to the store and the broker; returns what is acknowledged once it is kept."""
@@ -526,6 +506,14 @@ class Service:
             for part in even_parts(new):
                 self._broker.publish(f"{one.name}/displacement", result_payload(part, one.results))
                 one.results += 1
+
+    def _show(self, given: Given) -> None:
+        """What groups gave, to the log, the broker and viewers."""
+        for name, event in given.events:
+            self._publish_event(name, event)
+        if self._socket is not None:
+            for name, body in given.frames:
+                self._socket.publish({"kind": "rows", "point": name}, body)
 
     def _publish_head(self, one: Running) -> None:
         """The newest row of a point whose rows come later, before it is final: for viewers, one a tick at most."""
@@ -561,9 +549,11 @@ class Service:
             for name, (reason, text) in self._shared().items()
             if reason
         ]
+        groups = self._groups.state()
+        sources += group_sources(groups)
         ready = not any(one["reason"] not in ("", "paused") for one in (*sources, *points))
         store = {"waiting": self._keeper.waiting, "dropped": self._keeper.dropped, "written": written_bytes()}
-        return {"ready": ready, "points": points, "sources": sources, "store": store}
+        return {"ready": ready, "points": points, "groups": groups, "sources": sources, "store": store}
 
     async def command(self, head: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
         """A command of the page's server."""

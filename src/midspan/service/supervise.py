@@ -28,7 +28,8 @@ from midspan.service.places import place_of
 from midspan.service.reasons import sentence
 from midspan.service.run import Service
 from midspan.service.settings_fault import SettingsFault
-from midspan.settings.site import SITE_FILE, ServiceSettings, Site, load_site, require_folders
+from midspan.settings.shard import shard_of
+from midspan.settings.site import SITE_FILE, ServiceSettings, Shard, Site, load_site, require_folders
 from midspan.store.store import is_address
 from midspan.trees import TreeError, read_toml
 from midspan.writing import write_whole
@@ -37,6 +38,8 @@ from midspan.writing import write_whole
 STATE_S = 0.5
 # A server whose process ended is started again after this time; at the end it is waited for so long, s.
 SERVER_AGAIN_S, SERVER_END_S = 1.0, 5.0
+# For points that begin it waits so long at most, s.
+FIRST_S = 2.0
 # The server of a process that was killed leaves its address soon after, s.
 ADDRESS_S = 3.0
 SERVER = "from midspan.serve.process import main; main()"
@@ -47,7 +50,7 @@ class Settings:
     """site: what is run, None for nothing; fault: what is wrong with the file, None where nothing is.
 
     where, service: the store and the address, which hold until the process ends. content: of the file, where it is
-    right.
+    right. shard: that runs a part of the site alone.
     """
 
     file: Path
@@ -56,6 +59,7 @@ class Settings:
     where: str
     service: ServiceSettings
     content: bytes | None = None
+    shard: Shard | None = None
 
 
 def in_force_file(file: Path) -> Path:
@@ -63,8 +67,8 @@ def in_force_file(file: Path) -> Path:
     return file.with_name(f".{file.name}.in-force")
 
 
-def settings_of(path: str | Path) -> Settings:
-    """The settings of a site's file, or what holds in their place.
+def settings_of(path: str | Path, shard: Shard | None = None) -> Settings:
+    """The settings of a site's file, or what holds in their place; shard: that runs a part of the site alone.
 
     Raises UsageError and DataError for a wrong file where nothing ever ran with its settings.
     """
@@ -73,18 +77,23 @@ def settings_of(path: str | Path) -> Settings:
     file = file / SITE_FILE if file.is_dir() else file
     try:
         content = file.read_bytes() if file.is_file() else b""
-        site = load_site(file)
+        site = load_part(file, shard)
         require_folders(site)
     except (UsageError, DataError) as error:
         fault = SettingsFault.of(str(error))
         with suppress(UsageError, DataError):
-            kept = load_site(in_force_file(file))
-            return Settings(file, kept, fault, kept.store, kept.settings.service)
+            kept = load_part(in_force_file(file), shard)
+            return Settings(file, kept, fault, kept.store, kept.settings.service, shard=shard)
         place = _lenient(file)
-        if place is None:
+        if place is None or shard is not None:
             raise
         return Settings(file, None, fault, *place)
-    return Settings(file, site, None, site.store, site.settings.service, content)
+    return Settings(file, site, None, site.store, site.settings.service, content, shard)
+
+
+def load_part(file: Path, shard: Shard | None) -> Site:
+    """A site, or the part of it that a shard runs. Raises as `load_site` and `shard_of` do."""
+    return load_site(file) if shard is None else shard_of(load_site(file), shard)
 
 
 def _lenient(file: Path) -> tuple[str, ServiceSettings] | None:
@@ -214,7 +223,7 @@ class Supervisor:
         try:
             if not self._serve or kept.read_bytes() == self.settings.content:
                 raise error
-            site = load_site(kept)
+            site = load_part(kept, self.settings.shard)
         except (OSError, UsageError, DataError):
             raise error from None
         return replace(self.settings, site=site, fault=SettingsFault.of(str(error)), content=None)
@@ -284,7 +293,7 @@ class Supervisor:
 
     async def _tried(self, file: Path) -> Tree:
         """What settings would change, of a file in the folder of the site's. Raises what is wrong with them."""
-        site = load_site(file)
+        site = load_part(file, self.settings.shard)
         require_folders(site)
         restart = self._fixed(site.store, site.settings.service)
         changes = Changes.between(self._running, site)
@@ -295,7 +304,7 @@ class Supervisor:
 
     async def _reload(self) -> Tree:
         """New settings of the file come into force, where that can be without a new start."""
-        new, service = settings_of(self.settings.file), self._service
+        new, service = settings_of(self.settings.file, self.settings.shard), self._service
         restart = self._fixed(new.where, new.service)
         changes = Changes() if new.site is None else Changes.between(self._running, new.site)
         if restart:
@@ -332,6 +341,7 @@ class Supervisor:
             "where": self.settings.where, "site_file": str(self.settings.file),
             "tls_cert": paths[0], "tls_key": paths[1], "listener": listener.fileno(),
         }  # fmt: skip
+        await self._first_begun()
         while True:
             process = await asyncio.create_subprocess_exec(
                 sys.executable, "-c", SERVER,
@@ -345,6 +355,12 @@ class Supervisor:
                 await _ended(process)
             self._say(f"page: the server ended with code {code} and is restarted.")
             await asyncio.sleep(SERVER_AGAIN_S)
+
+    async def _first_begun(self) -> None:
+        """Let points begin first, for some time: the server's start takes as much of the processors as theirs."""
+        until_s = time.monotonic() + FIRST_S
+        while self._service is not None and not self._service.begun and time.monotonic() < until_s:
+            await asyncio.sleep(0.05)
 
 
 def _needs_restart(sections: Sequence[str]) -> str:

@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 
 from midspan.settings.alarms import AlarmSettings
 from midspan.settings.fields import Form, OneOf, Within
+from midspan.settings.group import GroupSettings
 from midspan.settings.kinds import ACCELEROMETER, LIVE
 from midspan.settings.live_axes import SOURCES
 from midspan.settings.recording import RecordingSettings
@@ -58,7 +59,7 @@ def recording_sections() -> list[KeySection]:
 
 
 def site_sections() -> list[KeySection]:
-    """Those of SITE.toml: the file, its points, their sensors and alarms."""
+    """Those of SITE.toml: the file, its points, their sensors and alarms, and its groups."""
     sensors = [
         Key(kind, REQUIRED if kind == ACCELEROMETER else LEFT_OUT, ", ".join(f"{one}…" for one in row.schemes), text)
         for kind, row in LIVE.items()
@@ -74,6 +75,7 @@ def site_sections() -> list[KeySection]:
         KeySection("point", _summary(PointSettings), _keys(PointSettings), many=True),
         KeySection("point.SENSOR", text, tuple(sensors)),
         KeySection("point.alarm", _summary(AlarmSettings), _keys(AlarmSettings), many=True),
+        KeySection("group", _summary(GroupSettings), _keys(GroupSettings), many=True),
     ]
 
 

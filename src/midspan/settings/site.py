@@ -5,7 +5,7 @@ import re
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,8 +15,9 @@ from midspan.errors import DataError, UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.alarms import AlarmSettings, MaintenanceSettings, NotifySettings
 from midspan.settings.fields import FileName, Form, IsNumber, Section, limited
+from midspan.settings.group import MQTT, NUMBER, GroupPlan, PointName, groups_of, require_names, require_topics
 from midspan.settings.kinds import ACCELEROMETER, KINDS, LIVE
-from midspan.settings.live_axes import MAX_NAME, axis_of, by_axis, of_rotation
+from midspan.settings.live_axes import axis_of, by_axis, of_rotation
 from midspan.settings.live_sources import address_of, one_use
 from midspan.settings.load import RECORDING_FILE, validate
 from midspan.settings.messages import unknown
@@ -28,13 +29,6 @@ SITE_FILE = "SITE.toml"
 # Keys of a recording's section that say where its file is: a live section has `source` instead.
 FILE_KEYS = ("file", "times", "time", "value", "value_x", "value_y", "value_z", "axis", "start_s", "cross_values")
 VARIABLE = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
-
-
-def is_a_point(value: str) -> str:
-    """A point's name; ValueError for another text."""
-    if not re.fullmatch(rf"[A-Za-z0-9_-]{{1,{MAX_NAME}}}", value):
-        raise ValueError(f"must be 1 to {MAX_NAME} letters, digits, - and _, because topics and file names contain it")
-    return value
 
 
 def _is_a_site(value: str) -> str:
@@ -86,9 +80,6 @@ def _is_a_host(value: str) -> str:
     if host != value or re.search(r"[\s/@\[\]]", value):
         raise ValueError('must be a host without port, such as "broker.example.org", "192.168.1.5" or "::1"')
     return value
-
-
-PointName = Annotated[str, AfterValidator(is_a_point), Form("letters, digits, -, _")]
 
 
 class StoreSettings(Section):
@@ -227,7 +218,8 @@ class SiteFile(Section):
 @dataclass(frozen=True, slots=True)
 class PointPlan:
     """One point: its settings, what its recordings say of the sensors, and by each sensor's name the address that its
-    records come from; configs: the file of each radar's settings, relative to SITE.toml.
+    records come from; configs: the file of each radar's settings, relative to SITE.toml. place: which [[point]] of the
+    file it is, from 0.
     """
 
     settings: PointSettings
@@ -235,6 +227,7 @@ class PointPlan:
     sources: dict[str, str]
     configs: dict[str, str]
     alarms: tuple[AlarmSettings, ...] = ()
+    place: int = 0
 
     @property
     def name(self) -> str:
@@ -248,17 +241,37 @@ class PointPlan:
 
 
 @dataclass(frozen=True, slots=True)
+class Shard:
+    """Which fixed part of a site a process runs: number `number` (from 1) of `count`."""
+
+    number: int
+    count: int
+
+    @property
+    def name(self) -> str:
+        """Its folder in a store, and the level of its topics."""
+        return f"shard-{self.number}"
+
+
+@dataclass(frozen=True, slots=True)
 class Site:
-    """A whole SITE.toml; file: where it was read."""
+    """A whole SITE.toml, or the part of it that a shard runs; file: where it was read."""
 
     file: Path
     settings: SiteFile
     points: tuple[PointPlan, ...]
+    groups: tuple[GroupPlan, ...] = ()
+    shard: Shard | None = None
 
     @property
     def name(self) -> str:
         """The site's name."""
         return self.settings.name
+
+    @property
+    def names(self) -> list[str]:
+        """The names of what is written by one process alone: points and groups."""
+        return [*(plan.name for plan in self.points), *(plan.key for plan in self.groups)]
 
     @property
     def store(self) -> str:
@@ -283,29 +296,42 @@ def load_site(path: str | Path) -> Site:
     if not tree:
         raise UsageError(f"{file}: is empty. A site has name, [store] and one [[point]] for each measuring point.")
     tree = filled(tree, str(file), lambda name: os.environ.get(name))
-    _require_known(tree, SiteFile, ("point",), f"{file}: ")
-    points = tree.pop("point", [])
-    if not points:
+    _require_known(tree, SiteFile, ("point", "group"), f"{file}: ")
+    points, groups = tree.pop("point", []), groups_of(tree.pop("group", []), str(file))
+    if not points and not groups:
         raise UsageError(f"{file}: point: is missing. Add one [[point]] for each measuring point.")
     if not isinstance(points, list) or not all(isinstance(one, dict) for one in points):
         raise UsageError(f"{file}: point: must be one [[point]] for each measuring point, at least one.")
     settings = validate(tree, str(file), SiteFile)
     places = [f"{file}: {point_at(number, point)}" for number, point in enumerate(points, start=1)]
     axes = [by_axis(point, place, file.parent) for point, place in zip(points, places, strict=True)]
-    plans = tuple(_plan(half, place) for halves, place in zip(axes, places, strict=True) for half in halves)
+    plans = tuple(
+        replace(_plan(half, places[number]), place=number) for number, halves in enumerate(axes) for half in halves
+    )
+    _require_unique(plans, axes, str(file))
+    require_names(groups, [plan.name for plan in plans], str(file))
+    for plan in plans:
+        _require_topics(settings, plan, f"{file}: point {plan.name!r}")
+    _require_one_use(plans, str(file))
+    root = None if settings.mqtt is None else f"{settings.mqtt.prefix}/v1/{settings.name}/"
+    taken = [at.removeprefix(MQTT) for plan in plans for at in plan.sources.values() if at.startswith(MQTT)]
+    require_topics(groups, root, taken, str(file))
+    return Site(file, settings, plans, groups)
+
+
+def _require_unique(plans: Sequence[PointPlan], axes: Sequence[Sequence[dict[str, Any]]], where: str) -> None:
+    """UsageError for two points of one name, capitals or not; axes: the halves of each point of the file."""
+    if not plans:
+        return
     name, count = Counter(plan.name for plan in plans).most_common(1)[0]
     if count > 1:
         seconds = [half.get("name") for halves in axes for half in halves[1:]]
         hint = ' One is the x axis of a point with direction = "xy".' if name in seconds else ""
-        raise UsageError(f"{file}: point.name: must be unique; {count} points have the name {name!r}.{hint}")
+        raise UsageError(f"{where}: point.name: must be unique; {count} points have the name {name!r}.{hint}")
     alike = Counter(plan.name.casefold() for plan in plans).most_common(1)[0]
     if alike[1] > 1:
         both = " and ".join(repr(plan.name) for plan in plans if plan.name.casefold() == alike[0])
-        raise UsageError(f"{file}: point.name: must differ by more than case; received {both}. Rename one.")
-    for plan in plans:
-        _require_topics(settings, plan, f"{file}: point {plan.name!r}")
-    _require_one_use(plans, str(file))
-    return Site(file, settings, plans)
+        raise UsageError(f"{where}: point.name: must differ by more than case; received {both}. Rename one.")
 
 
 def _require_one_use(plans: Sequence[PointPlan], where: str) -> None:
@@ -358,13 +384,15 @@ def is_site(path: str | Path) -> bool:
             return (file / SITE_FILE).is_file() and not (file / RECORDING_FILE).exists()
         if file.name == SITE_FILE and file.is_file():
             return True
-        return not read_toml(file).keys().isdisjoint(("point", "store", "mqtt", "service"))
+        return not read_toml(file).keys().isdisjoint(("point", "group", "store", "mqtt", "service"))
     except (TreeError, OSError, ValueError):
         return False
 
 
 def filled(tree: Any, where: str, value_of: Callable[[str], str | None], key: str = "") -> Any:
-    """A tree in whose texts each {NAME} is taken from the environment; UsageError for one that is not set."""
+    """A tree in whose texts each {NAME} is taken from the environment; UsageError for one that is not set. In a group
+    {i} stays: it is a point's number.
+    """
     if isinstance(tree, dict):
         return {name: filled(one, where, value_of, f"{key}.{name}".lstrip(".")) for name, one in tree.items()}
     if isinstance(tree, list):
@@ -374,6 +402,8 @@ def filled(tree: Any, where: str, value_of: Callable[[str], str | None], key: st
         return tree
 
     def found(match: re.Match[str]) -> str:
+        if match[0] == NUMBER and key.startswith("group"):
+            return NUMBER
         value = value_of(match[1])
         if not value:
             state = "not set" if value is None else "empty"

@@ -8,7 +8,7 @@ import errno
 import hashlib
 import sqlite3
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
@@ -63,6 +63,11 @@ class SqliteDatabase:
         """Run one statement; returns its rows."""
         with sqlite_faults(self.file):
             return self._connection.execute(sql.replace("{blob}", "BLOB"), values).fetchall()
+
+    def execute_many(self, sql: str, rows: Sequence[Sequence[Any]]) -> None:
+        """Run one statement with the values of each row."""
+        with sqlite_faults(self.file):
+            self._connection.executemany(sql.replace("{blob}", "BLOB"), rows)
 
     def has_table(self, name: str) -> bool:
         """Whether there is a table: files of earlier versions that are only read have fewer."""
@@ -128,6 +133,30 @@ class PostgresDatabase:
             with self._opened().cursor() as cursor:
                 cursor.execute(text, tuple(values))
                 return cursor.fetchall() if cursor.description else []
+        except psycopg.OperationalError as error:
+            self.close()
+            raise _unavailable(error) from None
+
+    def execute_many(self, sql: str, rows: Sequence[Sequence[Any]]) -> None:
+        """Run one statement with the values of each row."""
+        import psycopg
+
+        try:
+            with self._opened().cursor() as cursor:
+                cursor.executemany(sql.replace("?", "%s"), rows)
+        except psycopg.OperationalError as error:
+            self.close()
+            raise _unavailable(error) from None
+
+    def copy(self, table: str, types: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Add rows to a table by COPY, within a transaction; types: of its columns."""
+        import psycopg
+
+        try:
+            with self._opened().cursor() as cursor, cursor.copy(f"COPY {table} FROM STDIN (FORMAT BINARY)") as copying:
+                copying.set_types(types)
+                for row in rows:
+                    copying.write_row(row)
         except psycopg.OperationalError as error:
             self.close()
             raise _unavailable(error) from None

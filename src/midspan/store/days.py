@@ -4,16 +4,18 @@ Days of schema 1 have the tables `chunk` and `summary` in place of `block`, or n
 are read as they are.
 """
 
-from collections.abc import Collection, Iterator
+import json
+from collections.abc import Collection, Iterator, Sequence
 from datetime import date, timedelta
 from pathlib import Path
 
 import numpy as np
 
 from midspan.records import NANOSECONDS, Floats, Nanoseconds
-from midspan.store import seconds, summary
-from midspan.store.chunk import Chunk, decode, encode
-from midspan.store.database import Database, Row, SqliteDatabase
+from midspan.store import partitions, seconds, summary
+from midspan.store.chunk import Chunk, encode
+from midspan.store.database import Database, PostgresDatabase, Row, SqliteDatabase
+from midspan.store.group_rows import decoded
 from midspan.store.summary import Buckets as SummaryBuckets
 
 DAYS = "days"
@@ -30,7 +32,9 @@ DAY_TABLES = (
     "CREATE INDEX IF NOT EXISTS block_place ON block (point, stream, t0_ns)",
 )
 # Tables with rows, and where the number of their calibration is.
-TABLES = {"chunk": "calibration", "block": "0"}
+TABLES = {"chunk": "calibration", "block": "0", partitions.TABLE: "0"}
+# Those whose rows have their seconds next to them.
+BLOCK_TABLES = ("block", partitions.TABLE)
 
 
 class Day:
@@ -60,6 +64,18 @@ class Day:
         values = (chunk.point, chunk.stream, *stamps, *chunk.limits, seconds, encode(chunk))
         self.database.execute("INSERT INTO block VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", values)
 
+    def insert_blocks(self, day: int, rows: Sequence[Row]) -> None:
+        """Add blocks of points of a group, as the table has them, within a transaction."""
+        self.database.execute_many("INSERT INTO block VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", rows)
+
+    def newest_of(self, points: Sequence[str], stream: str) -> list[tuple[str, int]]:
+        """Points, of some, that have blocks, each with the stamp of its newest row."""
+        sql = (
+            "SELECT value, (SELECT t1_ns FROM block WHERE point = value AND stream = ? ORDER BY t0_ns DESC LIMIT 1) "
+            "FROM json_each(?)"
+        )
+        return _known(self.database.execute(sql, (stream, json.dumps(list(points)))))
+
     def newest_ns(self, point: str, stream: str) -> int | None:
         """The stamp of a stream's newest row; None without any."""
         sql = "SELECT MAX(t1_ns) FROM {} WHERE point = ? AND stream = ?"
@@ -83,15 +99,15 @@ class Day:
         place = (point, stream, first_ns - REACH_NS, last_ns, first_ns)
         for table in self._with_rows:
             for number, body in self.database.execute(sql.format(TABLES[table], table), place):
-                yield decode(bytes(body), point, stream, number, names=names)
+                yield decoded(bytes(body), point, stream, number, names=names)
 
     def draw(self, place: tuple[str, str, int, int], found: SummaryBuckets, shown: str) -> None:
         """Give buckets the seconds of a stream of a point in a time, or its rows where there are no seconds."""
         point, stream, first_ns, last_ns = place
         within = (point, stream, first_ns - REACH_NS, last_ns, first_ns)
         where = "point = ? AND stream = ? AND t0_ns >= ? AND t0_ns <= ?"
-        if "block" in self.tables:
-            sql = f"SELECT t0_ns, seconds FROM block WHERE {where} AND t1_ns >= ? AND seconds IS NOT NULL"
+        for table in self.tables.intersection(BLOCK_TABLES):
+            sql = f"SELECT t0_ns, seconds FROM {table} WHERE {where} AND t1_ns >= ? AND seconds IS NOT NULL"
             rows = [(int(t0_ns), bytes(body)) for t0_ns, body in self.database.execute(sql, within)]
             if rows:
                 found.add_seconds(summary.decode(rows))
@@ -104,7 +120,7 @@ class Day:
         slots = {int(row[0]) for row in rows}
         sql = f"SELECT calibration, body FROM chunk WHERE {where} AND t1_ns >= ?"
         for number, body in self.database.execute(sql, within) if not rows else self._unsummed(within, slots):
-            chunk = decode(bytes(body), point, stream, number)
+            chunk = decoded(bytes(body), point, stream, number)
             found.add_rows(part_of(chunk, first_ns, last_ns), shown)
 
     def _unsummed(self, within: tuple[str, str, int, int, int], slots: set[int]) -> Iterator[Row]:
@@ -186,6 +202,10 @@ class Day:
         return [name for name in TABLES if name in self.tables]
 
 
+def _known(rows: Sequence[Row]) -> list[tuple[str, int]]:
+    return [(str(point), int(newest_ns)) for point, newest_ns in rows if newest_ns is not None]
+
+
 def part_of(chunk: Chunk, first_ns: int, last_ns: int) -> Chunk:
     """Its rows from a time to a time."""
     if chunk.time_ns[0] >= first_ns and chunk.time_ns[-1] <= last_ns:
@@ -249,6 +269,20 @@ class Days:
 class ServerDay(Day):
     """All days of a PostgreSQL database, and the table of seconds that others read there."""
 
+    database: PostgresDatabase
+
+    def insert_blocks(self, day: int, rows: Sequence[Row]) -> None:
+        """Add blocks of points of a group to the day's part of their table, within a transaction."""
+        partitions.insert(self.database, day, rows)
+
+    def newest_of(self, points: Sequence[str], stream: str) -> list[tuple[str, int]]:
+        """Points, of some, that have blocks, each with the stamp of its newest row."""
+        sql = (
+            f"SELECT point, (SELECT t1_ns FROM {partitions.TABLE} AS own WHERE own.point = named.point "
+            "AND stream = ? ORDER BY t0_ns DESC LIMIT 1) FROM unnest(?::text[]) AS named (point)"
+        )
+        return _known(self.database.execute(sql, (stream, list(points))))
+
     def forget_since(self, point: str, time_ns: int) -> None:
         """Remove a point's rows from a time on; of the second that this is in, the rows before it stay."""
         super().forget_since(point, time_ns)
@@ -260,6 +294,7 @@ class ServerDay(Day):
 
     def forget_before(self, time_ns: int) -> None:
         """Remove all from before a time."""
+        partitions.drop_before(self.database, time_ns // DAY_NS)
         super().forget_before(time_ns)
         seconds.forget_before(self.database, time_ns)
 
@@ -267,7 +302,7 @@ class ServerDay(Day):
 class OneDatabase(Days):
     """All days in one PostgreSQL database."""
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: PostgresDatabase) -> None:
         self._day = ServerDay(database)
 
     def of(self, day: int) -> Day:

@@ -16,25 +16,33 @@ from functools import lru_cache
 from pathlib import Path
 
 from midspan.records import NANOSECONDS
-from midspan.store.chunk import Chunk, Layout, body_of, chunk_of, decode, encode, layout_of, span_of
+from midspan.store.chunk import Chunk, Layout, body_of, chunk_of, encode, layout_of, span_of
 from midspan.store.database import PostgresDatabase, StoreFault, lock_file, locked, sqlite_faults
+from midspan.store.group_rows import GROUP, ROWS, SHOWN, decoded, member_of, part_of_pack
 from midspan.store.seconds import merge
 
 LOGS = "log"
 # A power cut takes at most what came since the log was synchronised, s of the records' time; a page of 4 kB is written
 # again each time.
 SYNC_S = 10.0
-# Readers look through the log at each look: 16 MB take some 30 ms.
-MAX_LOG_BYTES = 1 << 24
+# Readers look through the log at each look: 16 MB take some 30 ms. With groups, of which a minute is 10 MB for each
+# thousand points, fewer and longer blocks are worth more.
+MAX_LOG_BYTES, MAX_GROUP_LOG_BYTES = 1 << 24, 1 << 26
+# A server's readers get the packs of a group whole.
+MAX_TABLE_BYTES = 1 << 23
 # Length and check sum of a record as it stands there, and its length before it was compressed.
 RECORD = struct.Struct("<III")
 # Number of a layout, length of a layout that is new (0: it is not), length of a body.
 PIECE = struct.Struct("<HHI")
+# First and last stamp of a pack in a log, which its other bytes follow.
+SPAN = struct.Struct("<qq")
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Rows of a stream from t0_ns to t1_ns, still as bytes."""
+    """Rows of a stream from t0_ns to t1_ns, still as bytes. Of a group (stream GROUP): a pack of its points' rows;
+    shown is then the part of the site that wrote it, number its place in a table.
+    """
 
     point: str
     stream: str
@@ -43,6 +51,7 @@ class Piece:
     t1_ns: int
     layout: Layout | None
     body: bytes
+    number: int = 0
 
     def chunk(self, names: Collection[str] | None = None) -> Chunk:
         """The rows; names: of the columns that are wanted, None: of all. Raises DataError."""
@@ -50,8 +59,20 @@ class Piece:
 
     def _chunk(self, names: Collection[str] | None = None) -> Chunk:
         if self.layout is None:
-            return decode(self.body, self.point, self.stream, 0, self.shown, names)
+            return decoded(self.body, self.point, self.stream, 0, self.shown, names)
         return chunk_of(self.layout, self.body, self.point, self.stream, self.shown, names)
+
+
+def pack_piece(name: str, part: str, span: tuple[int, int], pack: bytes) -> Piece:
+    """The piece of a pack of a group; span: first and last stamp."""
+    return Piece(name, GROUP, part, *span, None, pack)
+
+
+def members_pieces(point: str, number: int, packs: Sequence[Piece]) -> Iterator[Piece]:
+    """The pieces of one point of a group in the pieces of that."""
+    for one in packs:
+        if (found := part_of_pack(one.body, number)) is not None:
+            yield Piece(point, ROWS, SHOWN, *found[:2], None, found[2])
 
 
 # The last 320 s of a dozen points, which all viewers look at: 3 kB each.
@@ -78,18 +99,21 @@ class FilePieces:
     _layouts: dict[bytes, int] = field(default_factory=dict)
     _size: int = 0
     _synced_ns: int | None = None
+    _with_groups: bool = False
 
     @property
     def full(self) -> bool:
         """Whether what this process has added should become blocks."""
-        return self._size > MAX_LOG_BYTES
+        return self._size > (MAX_GROUP_LOG_BYTES if self._with_groups else MAX_LOG_BYTES)
 
-    def add(self, chunks: Sequence[Chunk]) -> None:
-        """Append chunks, all or none. Raises StoreFault."""
+    def add(self, chunks: Sequence[Chunk], packs: Sequence[Piece] = ()) -> None:
+        """Append chunks and packs of groups, all or none. Raises StoreFault."""
         if self.read_only:
             raise StoreFault("store_unavailable", f"{self.folder.parent}: the store is open read-only.")
         before = dict(self._layouts)
-        record = record_of(b"".join(self._piece(chunk) for chunk in chunks))
+        pieces = [self._piece(layout_bytes(chunk), body_of(chunk)) for chunk in chunks]
+        pieces += [self._piece(pack_bytes(one), SPAN.pack(one.t0_ns, one.t1_ns) + one.body) for one in packs]
+        record = record_of(b"".join(pieces))
         with sqlite_faults(self.folder):
             file = self._opened()
             try:
@@ -101,7 +125,8 @@ class FilePieces:
                 os.ftruncate(file, self._size)
                 raise
             self._size += len(record)
-            newest_ns = max(int(chunk.time_ns[-1]) for chunk in chunks)
+            self._with_groups = self._with_groups or bool(packs)
+            newest_ns = max([int(chunk.time_ns[-1]) for chunk in chunks] + [one.t1_ns for one in packs])
             if self._synced_ns is None:
                 self._synced_ns = newest_ns
             if abs(newest_ns - self._synced_ns) >= SYNC_S * NANOSECONDS:
@@ -117,7 +142,13 @@ class FilePieces:
     def of(self, point: str, stream: str) -> list[Piece]:
         """A stream's pieces in all logs, in the order of time."""
         found = [one for log in followed(self.folder) for one in log.get((point, stream), ())]
+        if stream == ROWS and (member := member_of(point)) is not None:
+            found += members_pieces(point, member[1], self.packs(member[0]))
         return sorted(found, key=lambda one: one.t0_ns)
+
+    def packs(self, name: str) -> list[Piece]:
+        """The packs of a group in all logs, those of each log in the order of their writing."""
+        return [one for log in followed(self.folder) for one in log.get((name, GROUP), ())]
 
     def streams(self) -> set[tuple[str, str, int]]:
         """Point, stream and first stamp of all pieces."""
@@ -143,7 +174,7 @@ class FilePieces:
         if self._file is not None:
             with sqlite_faults(self.folder):
                 os.ftruncate(self._file, 0)
-        self._layouts, self._size, self._synced_ns = {}, 0, None
+        self._layouts, self._size, self._synced_ns, self._with_groups = {}, 0, None, False
 
     def close(self) -> None:
         """Let the log go; it is removed where it is empty."""
@@ -165,8 +196,7 @@ class FilePieces:
                 os.close(file)
         return self._file
 
-    def _piece(self, chunk: Chunk) -> bytes:
-        layout, body = layout_bytes(chunk), body_of(chunk)
+    def _piece(self, layout: bytes, body: bytes) -> bytes:
         new = layout not in self._layouts
         number = self._layouts.setdefault(layout, len(self._layouts))
         return PIECE.pack(number, len(layout) if new else 0, len(body)) + (layout if new else b"") + body
@@ -183,6 +213,11 @@ def record_of(data: bytes) -> bytes:
 def layout_bytes(chunk: Chunk) -> bytes:
     """What a log says once of all pieces of a stream."""
     return json.dumps([chunk.point, chunk.stream, chunk.shown, layout_of(chunk)], separators=(",", ":")).encode()
+
+
+def pack_bytes(piece: Piece) -> bytes:
+    """The same of the packs of a group, which say of themselves what columns they have."""
+    return json.dumps([piece.point, piece.stream, piece.shown, []], separators=(",", ":")).encode()
 
 
 def whole_bytes(path: Path) -> int:
@@ -275,7 +310,10 @@ def _pieces(record: bytes, layouts: list[tuple[str, str, str, Layout]]) -> Itera
             at += new
         point, stream, shown, layout = layouts[number]
         body = record[at : at + length]
-        yield Piece(point, stream, shown, *span_of(body), layout, body)
+        if stream != GROUP:
+            yield Piece(point, stream, shown, *span_of(body), layout, body)
+        else:
+            yield pack_piece(point, shown, SPAN.unpack_from(body), body[SPAN.size :])
         at += length
 
 
@@ -285,14 +323,15 @@ class TablePieces:
 
     database: PostgresDatabase
     _size: int = 0
+    _group_size: int = 0
 
     @property
     def full(self) -> bool:
         """Whether what this process has added should become blocks."""
-        return self._size > MAX_LOG_BYTES
+        return self._size > MAX_LOG_BYTES or self._group_size > MAX_TABLE_BYTES
 
-    def add(self, chunks: Sequence[Chunk]) -> None:
-        """Add chunks, all or none. Raises StoreFault."""
+    def add(self, chunks: Sequence[Chunk], packs: Sequence[Piece] = ()) -> None:
+        """Add chunks and packs of groups, all or none. Raises StoreFault."""
         with self.database.transaction():
             for chunk in chunks:
                 body = encode(chunk)
@@ -302,23 +341,40 @@ class TablePieces:
                 if chunk.shown:
                     merge(self.database, chunk)
                 self._size += len(body)
+            for one in packs:
+                number = "SELECT COALESCE(MAX(number), 0) + 1 FROM group_piece WHERE name = ? AND part = ?"
+                sql = f"INSERT INTO group_piece VALUES (?, ?, ({number}), ?, ?, ?)"
+                place = (one.point, one.shown)
+                self.database.execute(sql, (*place, *place, one.t0_ns, one.t1_ns, one.body))
+                self._group_size += len(one.body)
 
     def sync(self) -> None:
         """What was added is on the server's disk."""
 
     def of(self, point: str, stream: str) -> list[Piece]:
         """A stream's pieces, in the order of time."""
-        return self._where("point = ? AND stream = ?", (point, stream))
+        found = self._where("point = ? AND stream = ?", (point, stream))
+        if stream == ROWS and (member := member_of(point)) is not None:
+            found += members_pieces(point, member[1], self.packs(member[0]))
+        return sorted(found, key=lambda one: one.t0_ns)
+
+    def packs(self, name: str) -> list[Piece]:
+        """The packs of a group, those of each part of the site in the order of their writing."""
+        return self._packs("name = ?", (name,))
 
     def streams(self) -> set[tuple[str, str, int]]:
         """Point, stream and first stamp of all pieces."""
         if not self.database.has_table("piece"):
             return set()
-        return {(str(a), str(b), int(c)) for a, b, c in self.database.execute("SELECT point, stream, t0_ns FROM piece")}
+        sql = "SELECT point, stream, t0_ns FROM piece"
+        if self.database.has_table("group_piece"):
+            sql += f" UNION ALL SELECT name, '{GROUP}', first_ns FROM group_piece"
+        return {(str(a), str(b), int(c)) for a, b, c in self.database.execute(sql)}
 
     def own(self, points: Sequence[str]) -> list[Piece]:
-        """The pieces of points that this process writes."""
-        return [one for point in points for one in self._where("point = ?", (point,))]
+        """The pieces of points that this process writes, and those of its groups under their keys."""
+        found = [one for point in points for one in self._where("point = ?", (point,))]
+        return found + [one for key in points for one in self._packs("TRIM(name || ' ' || part) = ?", (key,))]
 
     def abandoned(self) -> Iterator[tuple[list[Piece], Path]]:
         """What an ended process left is its point's next writer's own."""
@@ -328,8 +384,12 @@ class TablePieces:
         """Remove pieces that are blocks now. Raises StoreFault."""
         for one in pieces:
             place = (one.point, one.stream, one.t0_ns)
-            self.database.execute("DELETE FROM piece WHERE point = ? AND stream = ? AND t0_ns = ?", place)
-        self._size = 0
+            if one.stream == GROUP:
+                sql = "DELETE FROM group_piece WHERE name = ? AND part = ? AND number = ?"
+                self.database.execute(sql, (one.point, one.shown, one.number))
+            else:
+                self.database.execute("DELETE FROM piece WHERE point = ? AND stream = ? AND t0_ns = ?", place)
+        self._size = self._group_size = 0
 
     def close(self) -> None:
         """The connection is the site's."""
@@ -342,6 +402,15 @@ class TablePieces:
         return [
             Piece(str(point), str(stream), str(shown), int(t0_ns), int(t1_ns), None, bytes(body))
             for point, stream, shown, t0_ns, t1_ns, body in rows
+        ]
+
+    def _packs(self, condition: str, values: tuple[str, ...]) -> list[Piece]:
+        if not self.database.has_table("group_piece"):
+            return []
+        sql = f"SELECT name, part, first_ns, last_ns, body, number FROM group_piece WHERE {condition} ORDER BY number"
+        return [
+            Piece(str(name), GROUP, str(part), int(first_ns), int(last_ns), None, bytes(body), int(number))
+            for name, part, first_ns, last_ns, body, number in self.database.execute(sql, values)
         ]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from midspan.store.chunk import BODY, HEAD, MAGIC
 from midspan.store.days import DAY_NS, REACH_NS, Day
+from midspan.store.group_rows import MAGIC as GROUP_MAGIC
 from midspan.store.pieces import Piece
 
 # The layout of rows takes some 300 bytes before the head of the body.
@@ -86,10 +87,13 @@ def _calibration(day: Day, place: tuple[str, str], t0_ns: int) -> int | None:
     if (kept := day.head(*place, t0_ns, HEAD_BYTES)) is None:
         return None
     number, head = kept
+    # Rows of a point of a group, and those of schema 1, do not say it.
     return number if not head.startswith(MAGIC) else _in_body(head)
 
 
 def _calibration_in(body: bytes, piece: Piece) -> int:
+    if body.startswith(GROUP_MAGIC):
+        return 0
     return _in_body(body) if piece.layout is None else int(BODY.unpack_from(body)[3])
 
 

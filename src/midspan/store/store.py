@@ -15,11 +15,20 @@ import numpy as np
 
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds
-from midspan.store.chunk import Chunk, join, layout_of
+from midspan.store.blocks import blocks_of, joined
+from midspan.store.chunk import Chunk
 from midspan.store.database import Database, FileLocks, PostgresDatabase, SqliteDatabase, lock_in_session
 from midspan.store.days import BLOCK_S, DAY_NS, DAY_TABLES, DAYS, REACH_NS, Days, OneDatabase, part_of
+from midspan.store.group_rows import GROUP, GroupChunk
+from midspan.store.group_state import StateFiles
+from midspan.store.group_store import Groups, StateTable
+from midspan.store.kept import TABLES as KEPT_TABLES
+from midspan.store.kept import Kept
+from midspan.store.partitions import TABLES as PARTITION_TABLES
 from midspan.store.parts import PART_TABLE, keep_checkpoint, kept_checkpoint
 from midspan.store.pieces import LOGS, FilePieces, Piece, Pieces, TablePieces
+from midspan.store.pyramid import LEVELS_S, Pyramid
+from midspan.store.pyramid import TABLE as PYRAMID_TABLE
 from midspan.store.seconds import SECOND_TABLE
 from midspan.store.spans import CalibratedSpan, spans_of
 from midspan.store.summary import STATUS, STD, Drawn
@@ -30,22 +39,16 @@ SCHEMA, READABLE = 2, ("1", "2")
 SITE_FILE = "site.sqlite"
 # Without a write-ahead log, which would have every checkpoint written twice; nobody reads it while it is written.
 CHECKPOINT_FILE = "checkpoints.sqlite"
-# The pyramid's levels and the lengths of their spans, s (43 min, 11.4 h). Schema 1 has one of 160 s below.
-LEVELS_S = {1: 2560.0, 2: 40960.0}
 FIRST_NS, LAST_DAY = -(2**62), 2**31
 
 SITE_TABLES = (
+    *KEPT_TABLES,
+    PYRAMID_TABLE,
     "CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)",
     "CREATE TABLE IF NOT EXISTS calibration (point TEXT NOT NULL, number BIGINT NOT NULL, made_ns BIGINT NOT NULL, "
     "state TEXT NOT NULL, body TEXT NOT NULL, settings TEXT NOT NULL, PRIMARY KEY (point, number))",
     "CREATE TABLE IF NOT EXISTS event (point TEXT NOT NULL, time_ns BIGINT NOT NULL, kind TEXT NOT NULL, "
     "text TEXT NOT NULL, axis BIGINT NOT NULL, PRIMARY KEY (point, time_ns, kind, text))",
-    "CREATE TABLE IF NOT EXISTS pyramid (point TEXT NOT NULL, stream TEXT NOT NULL, level BIGINT NOT NULL, "
-    "t0_ns BIGINT NOT NULL, n BIGINT NOT NULL, low DOUBLE PRECISION, high DOUBLE PRECISION, "
-    "PRIMARY KEY (point, stream, level, t0_ns))",
-    # Which days there are of each stream, so that nobody has to open all of them for that.
-    "CREATE TABLE IF NOT EXISTS kept (point TEXT NOT NULL, stream TEXT NOT NULL, day BIGINT NOT NULL, "
-    "PRIMARY KEY (point, stream, day))",
 )
 CHECKPOINT_TABLES = (
     "CREATE TABLE IF NOT EXISTS checkpoint (point TEXT PRIMARY KEY, time_ns BIGINT NOT NULL, body {blob} NOT NULL)",
@@ -55,6 +58,7 @@ PIECE_TABLE = (
     "CREATE TABLE IF NOT EXISTS piece (point TEXT NOT NULL, stream TEXT NOT NULL, shown TEXT NOT NULL, "
     "t0_ns BIGINT NOT NULL, t1_ns BIGINT NOT NULL, body {blob} NOT NULL, PRIMARY KEY (point, stream, t0_ns))"
 )
+SERVER_TABLES = (PIECE_TABLE, SECOND_TABLE, *PARTITION_TABLES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +70,7 @@ class Batch:
     chunks: Sequence[Chunk] = ()
     events: Sequence[tuple[str, Event]] = ()
     checkpoints: Mapping[str, tuple[int, Sequence[bytes]]] = field(default_factory=dict)
+    groups: Sequence[GroupChunk] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,11 +106,14 @@ class Store:
         checkpoints: Database,
         days: Days,
         pieces: Pieces,
+        states: StateFiles | StateTable,
         locks: FileLocks | None = None,
         points: Sequence[str] = (),
     ) -> None:
         self._site, self.checkpoints, self._days = site, checkpoints, days
         self._pieces, self._locks = pieces, locks
+        self._kept, self._pyramid = Kept(site, days, pieces), Pyramid(site, days)
+        self._groups = Groups(self._kept, self._pyramid, days, pieces, states)
         self._newest: dict[tuple[str, str], int | None] = {}
         # The first stamp of each stream since its last block.
         self._begun: dict[tuple[str, str], int] = {}
@@ -120,7 +128,7 @@ class Store:
             # The log has it, for the next process that writes.
             pass
         finally:
-            for one in (self._pieces, self._site, self.checkpoints, self._days, self._locks):
+            for one in (self._pieces, self._groups.states, self._site, self.checkpoints, self._days, self._locks):
                 if one is not None:
                     one.close()
 
@@ -133,15 +141,21 @@ class Store:
         SYNC_S. After an exception any part of it may be kept, and it is to be written again. The chunks come first: a
         checkpoint is never newer than what it rests on. Raises StoreFault.
         """
-        new = [one for chunk in batch.chunks for one in self._new_rows(chunk)]
         try:
-            if new:
-                self._keep(new)
+            new = [one for chunk in batch.chunks for one in self._new_rows(chunk)]
+            packs = [one for chunk in batch.groups for one in self._groups.new_packs(chunk)]
+            if new or packs:
+                self._points.update(one.key for one in batch.groups)
+                self._keep(new, packs)
             if batch.checkpoints:
                 self._pieces.sync()
         except BaseException:
             self._newest.clear()
+            self._groups.forget_newest()
             raise
+        for group in batch.groups:
+            if group.checkpoint is not None:
+                self._groups.states.put(group.key, *group.checkpoint)
         if batch.events:
             with self._site.transaction():
                 for point, event in batch.events:
@@ -163,19 +177,21 @@ class Store:
         self._newest[chunk.point, chunk.stream] = int(chunk.time_ns[-1])
         return chunk.split(BLOCK_S)
 
-    def _keep(self, new: Sequence[Chunk]) -> None:
+    def _keep(self, new: Sequence[Chunk], packs: Sequence[Piece]) -> None:
         """Append to the log; what is long enough there becomes blocks first."""
         self._points.update(one.point for one in new)
         if not self._took_over:
             self.take_over()
-        for one in new:
-            begun_ns = self._begun.setdefault((one.point, one.stream), int(one.time_ns[0]))
-            if self._pieces.full or abs(int(one.time_ns[0]) - begun_ns) >= BLOCK_S * NANOSECONDS:
+        begins = [((one.point, one.stream), int(one.time_ns[0])) for one in new]
+        begins += [((one.point, one.stream), one.t0_ns) for one in packs]
+        for stream, t0_ns in begins:
+            begun_ns = self._begun.setdefault(stream, t0_ns)
+            if self._pieces.full or abs(t0_ns - begun_ns) >= BLOCK_S * NANOSECONDS:
                 self.flush()
                 break
-        for one in new:
-            self._begun.setdefault((one.point, one.stream), int(one.time_ns[0]))
-        self._pieces.add(new)
+        for stream, t0_ns in begins:
+            self._begun.setdefault(stream, t0_ns)
+        self._pieces.add(new, packs)
 
     def take_over(self) -> list[int]:
         """Make blocks of what ended processes left in their logs; how many pieces each had."""
@@ -201,6 +217,8 @@ class Store:
         """Join pieces to blocks: each day's in one transaction, then what the site's file says of them. Those that are
         blocks already are left out, so that it may be done again after a power cut or a kill in the middle.
         """
+        self._groups.make_blocks([one for one in pieces if one.stream == GROUP])
+        pieces = [one for one in pieces if one.stream != GROUP]
         blocks = blocks_of(self._without_blocks(pieces))
         days = {block.time_ns[0] // DAY_NS for block in blocks}
         for number in sorted(days):
@@ -213,9 +231,8 @@ class Store:
         streams = {(one.point, one.stream, one.t0_ns // DAY_NS) for one in pieces}
         spans = {(one.point, one.stream, one.t0_ns) for one in pieces if one.shown}
         with self._site.transaction():
-            for place in sorted(streams):
-                self._site.execute("INSERT INTO kept VALUES (?, ?, ?) ON CONFLICT DO NOTHING", place)
-            self._raise(spans)
+            self._kept.note(streams)
+            self._pyramid.build(spans)
 
     def _without_blocks(self, pieces: Sequence[Piece]) -> list[Piece]:
         """The pieces that are no blocks yet."""
@@ -225,23 +242,6 @@ class Store:
                 newest_ns = day.newest_ns(*place[:2])
                 newest[place] = FIRST_NS if newest_ns is None else max(newest.get(place, FIRST_NS), newest_ns)
         return [one for one in pieces if one.t0_ns > newest.get((one.point, one.stream, one.t0_ns // DAY_NS), FIRST_NS)]
-
-    def _raise(self, places: set[tuple[str, str, int]]) -> None:
-        """Make the pyramid's spans above some places anew, from what is below each: right however often it is done."""
-        for level, length_s in LEVELS_S.items():
-            length_ns = round(length_s * NANOSECONDS)
-            for point, stream, begin_ns in sorted({(p, s, _floor(t, length_s)) for p, s, t in places}):
-                if level - 1 in LEVELS_S:
-                    span = (point, stream, begin_ns, begin_ns + length_ns)
-                    low, high = self._spans(*span, level - 1)[1:]
-                else:
-                    low, high = self._limits(point, stream, begin_ns, begin_ns + length_ns)[1:]
-                if len(low):
-                    self._site.execute(
-                        "INSERT INTO pyramid VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (point, stream, level, t0_ns) "
-                        "DO UPDATE SET low = excluded.low, high = excluded.high",
-                        (point, stream, level, begin_ns, 0, float(low.min()), float(high.max())),
-                    )
 
     def add_calibration(self, point: str, made_ns: int, body: str, settings: str, *, accept: bool) -> int:
         """Keep a calibration, in force (the one before is retired) or offered; returns its number, from 1 on."""
@@ -294,66 +294,54 @@ class Store:
             self._site.execute("DELETE FROM event WHERE point = ? AND time_ns >= ?", (point, time_ns))
             self._site.execute("DELETE FROM calibration WHERE point = ? AND number = ?", (point, calibration))
             self._site.execute("DELETE FROM kept WHERE point = ? AND day > ?", (point, time_ns // DAY_NS))
-            for level, length_s in LEVELS_S.items():
-                sql = "DELETE FROM pyramid WHERE point = ? AND level = ? AND t0_ns >= ?"
-                self._site.execute(sql, (point, level, _floor(time_ns, length_s)))
+            self._pyramid.forget_since(point, time_ns)
             for stream in streams:
                 newest_ns = self._kept_newest_ns(point, stream)
                 if newest_ns is None or newest_ns // DAY_NS < time_ns // DAY_NS:
                     place = (point, stream, time_ns // DAY_NS)
                     self._site.execute("DELETE FROM kept WHERE point = ? AND stream = ? AND day = ?", place)
-            self._raise({(point, stream, time_ns) for stream in streams})
+            self._pyramid.build({(point, stream, time_ns) for stream in streams})
 
     # What is read
 
     @property
     def points(self) -> list[str]:
         """The names of the points of which rows are kept, sorted."""
-        rows = self._site.execute("SELECT DISTINCT point FROM pyramid")
-        return sorted({str(row[0]) for row in rows} | {point for point, _, _ in self._kept_days()})
+        return sorted(self._kept.points.union(self._pyramid.points))
+
+    @property
+    def groups(self) -> list[str]:
+        """The names of the groups of which rows are kept, sorted."""
+        return self._kept.groups
 
     def has_point(self, point: str) -> bool:
         """Whether anything of a point is kept."""
         for table in ("pyramid", "calibration", "event"):
             if self._site.execute(f"SELECT 1 FROM {table} WHERE point = ? LIMIT 1", (point,)):
                 return True
-        return any(one == point for one, _, _ in self._kept_days())
+        return bool(self._kept.streams(point))
 
     def streams(self, point: str) -> list[str]:
         """The names of a point's streams, sorted."""
-        return sorted({stream for one, stream, _ in self._kept_days() if one == point})
+        return self._kept.streams(point)
 
     def days(self, point: str, stream: str) -> list[int]:
         """The days (since 1970, UTC) of which a stream has rows, sorted."""
-        return sorted({day for *place, day in self._kept_days() if place == [point, stream]})
-
-    def _kept_days(self) -> set[tuple[str, str, int]]:
-        """Point, stream and day of all that is kept; those of a store of schema 1 that is only read from its days."""
-        found = {(point, stream, t0_ns // DAY_NS) for point, stream, t0_ns in self._pieces.streams()}
-        if not self._site.has_table("kept"):
-            return found.union(*(day.streams() for day in self._days.all()))
-        rows = self._site.execute("SELECT point, stream, day FROM kept")
-        return found | {(str(point), str(stream), int(day)) for point, stream, day in rows}
+        return self._kept.days(point, stream)
 
     def take_forward(self) -> None:
         """Make of a store of schema 1 one of this: its days stay as they are, the site's file learns of them."""
         with self._site.transaction():
-            self._note_days()
+            self._kept.note_days()
             self._site.execute("UPDATE meta SET value = ? WHERE key = 'schema'", (str(SCHEMA),))
 
     def make_histories(self) -> None:
         """Make anew what the site's file has of the days: which there are, and the values above them."""
         with self._site.transaction():
             self._site.execute("DELETE FROM kept")
-            for point, stream, day in self._note_days():
-                begins = self._limits(point, stream, day * DAY_NS, (day + 1) * DAY_NS)[0]
-                self._raise({(point, stream, int(begin_ns)) for begin_ns in begins})
-
-    def _note_days(self) -> list[tuple[str, str, int]]:
-        found = sorted(set().union(*(day.streams() for day in self._days.all())))
-        for place in found:
-            self._site.execute("INSERT INTO kept VALUES (?, ?, ?) ON CONFLICT DO NOTHING", place)
-        return found
+            for point, stream, day in self._kept.note_days():
+                begins = self._pyramid.limits(point, stream, day * DAY_NS, (day + 1) * DAY_NS)[0]
+                self._pyramid.build({(point, stream, int(begin_ns)) for begin_ns in begins})
 
     def count(self, point: str, stream: str, first_ns: int, last_ns: int) -> int:
         """How many rows the chunks have that reach into a time: as many as it has, or some minutes' more."""
@@ -421,9 +409,9 @@ class Store:
             drawn = self.drawn(point, stream, edges)
             return Buckets(begin_ns, drawn.low, drawn.high)
         places, lows, highs = (
-            self._spans(point, stream, first_ns, last_ns, finer[-1])
+            self._pyramid.spans(point, stream, first_ns, last_ns, finer[-1])
             if finer
-            else self._limits(point, stream, first_ns, last_ns)
+            else self._pyramid.limits(point, stream, first_ns, last_ns)
         )
         late = [one.drawn(one.shown) for one in self._newest_rows(point, stream) if one.shown]
         places = np.concatenate([places, *(time_ns for time_ns, _ in late)])
@@ -452,24 +440,6 @@ class Store:
         for chunk in joined(list(self.chunks(point, stream, first_ns, last_ns, names=names))):
             found.add_rows(chunk, shown)
         return found.figures
-
-    def _spans(
-        self, point: str, stream: str, first_ns: int, last_ns: int, level: int
-    ) -> tuple[Nanoseconds, Floats, Floats]:
-        """Begins, least and largest values of the spans of a level."""
-        where = "WHERE point = ? AND stream = ? AND t0_ns >= ? AND t0_ns < ? AND low IS NOT NULL AND level = ?"
-        place = (point, stream, first_ns, last_ns, level)
-        rows = self._site.execute(f"SELECT t0_ns, low, high FROM pyramid {where} ORDER BY t0_ns", place)
-        found = np.array(rows, dtype=np.float64).reshape(-1, 3)
-        return np.array([row[0] for row in rows], dtype=np.int64), found[:, 1], found[:, 2]
-
-    def _limits(self, point: str, stream: str, first_ns: int, last_ns: int) -> tuple[Nanoseconds, Floats, Floats]:
-        """Begins, least and largest values of blocks."""
-        days = self._days.between(first_ns // DAY_NS, last_ns // DAY_NS)
-        found = [day.limits(point, stream, first_ns, last_ns) for day in days]
-        nothing = (np.empty(0, np.int64), np.empty(0), np.empty(0))
-        begins, low, high = (np.concatenate(parts) for parts in zip(nothing, *found, strict=True))
-        return begins, low, high
 
     def events(self, point: str, first_ns: int, last_ns: int) -> list[Event]:
         """A point's events, in the order of time."""
@@ -503,37 +473,9 @@ class Store:
         found = (kept_checkpoint(one, point) for one in databases if one.has_table("checkpoint"))
         return max((one for one in found if one is not None), key=lambda one: one[0], default=None)
 
-
-def joined(chunks: Sequence[Chunk]) -> list[Chunk]:
-    """Chunks, those of each stream in the order of time: as one what follows one another with one calibration, layout
-    and day.
-    """
-    found: list[list[Chunk]] = []
-    newest: dict[tuple[str, str], tuple[object, list[Chunk]]] = {}
-    for one in chunks:
-        kind = (one.time_ns[0] // DAY_NS, one.calibration, layout_of(one))
-        before, parts = newest.get((one.point, one.stream), (None, []))
-        if before != kind:
-            parts = []
-            found.append(parts)
-        parts.append(one)
-        newest[one.point, one.stream] = (kind, parts)
-    return [join(parts) for parts in found]
-
-
-def blocks_of(pieces: Sequence[Piece]) -> list[Chunk]:
-    """Pieces as blocks."""
-    whole = joined([piece.chunk() for piece in sorted(pieces, key=lambda one: (one.point, one.stream, one.t0_ns))])
-    return [part for one in whole for part in ([one] if _length_ns(one) <= REACH_NS else one.split(BLOCK_S))]
-
-
-def _length_ns(chunk: Chunk) -> int:
-    return int(chunk.time_ns[-1] - chunk.time_ns[0])
-
-
-def _floor(time_ns: int, length_s: float) -> int:
-    length_ns = round(length_s * NANOSECONDS)
-    return time_ns - time_ns % length_ns
+    def group_checkpoint(self, key: str) -> tuple[int, bytes] | None:
+        """A group's newest state, by `GroupChunk.key`, and its instant (ns). Raises DataError for a damaged one."""
+        return self._groups.states.get(key)
 
 
 def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[str] = ()) -> Store:
@@ -547,8 +489,8 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
         if is_address(where):
             server = PostgresDatabase(str(where), partial(lock_in_session, points=points))
             database: Database = server
-            store = Store(server, server, OneDatabase(server), TablePieces(server), points=points)
-            tables: tuple[str, ...] = (*SITE_TABLES, *CHECKPOINT_TABLES, *DAY_TABLES, PIECE_TABLE, SECOND_TABLE)
+            store = Store(server, server, OneDatabase(server), TablePieces(server), StateTable(server), points=points)
+            tables: tuple[str, ...] = (*SITE_TABLES, *CHECKPOINT_TABLES, *DAY_TABLES, *SERVER_TABLES)
         else:
             folder = Path(where)
             if read_only and not (folder / SITE_FILE).is_file():
@@ -563,7 +505,8 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
             file = folder / CHECKPOINT_FILE
             has_file = not read_only or file.is_file()
             checkpoints = SqliteDatabase(file, read_only=read_only, ahead=False) if has_file else database
-            store = Store(database, checkpoints, days, pieces, locks, points)
+            states = StateFiles(folder, read_only=read_only)
+            store = Store(database, checkpoints, days, pieces, states, locks, points)
             for sql in () if read_only else CHECKPOINT_TABLES:
                 checkpoints.execute(sql)
             tables = SITE_TABLES

@@ -62,11 +62,15 @@ def columns_of(chunk: Chunk, shown: str) -> tuple[Floats, Floats, NDArray[np.uin
 
 def encode(chunk: Chunk) -> bytes:
     """The seconds of a chunk as bytes: those of all entries' first bytes, of all second ones …, compressed."""
+    return packed(entries(chunk).tobytes())
+
+
+def packed(entries: bytes) -> bytes:
+    """`ENTRY`s as `decode` reads them."""
     import pyarrow as pa
 
-    made = entries(chunk)
-    planes = made.view(np.uint8).reshape(len(made), ENTRY.itemsize).T
-    return LENGTH.pack(len(made)) + bytes(pa.Codec("zstd").compress(planes.tobytes(), asbytes=True))
+    planes = np.frombuffer(entries, dtype=np.uint8).reshape(-1, ENTRY.itemsize).T
+    return LENGTH.pack(planes.shape[1]) + bytes(pa.Codec("zstd").compress(planes.tobytes(), asbytes=True))
 
 
 def entries(chunk: Chunk) -> NDArray[Any]:

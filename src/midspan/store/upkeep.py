@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from midspan.errors import DataError, UsageError
-from midspan.store.chunk import decode
 from midspan.store.database import LOCKS, Database, FileLocks, SqliteDatabase, lock_file, sqlite_faults
 from midspan.store.days import DAYS, TABLES
+from midspan.store.group_rows import decoded
+from midspan.store.group_state import STATES, is_damaged
 from midspan.store.parts import kept_checkpoint
 from midspan.store.pieces import LOGS, whole_bytes
 from midspan.store.store import CHECKPOINT_FILE, SITE_FILE, Store, is_address, open_store
@@ -58,13 +59,17 @@ def check(where: str) -> Checked:
     if (folder / CHECKPOINT_FILE).is_file() and not any(one.file == CHECKPOINT_FILE for one in faults):
         with closing(SqliteDatabase(folder / CHECKPOINT_FILE, read_only=True)) as database:
             faults += [Fault(CHECKPOINT_FILE, text) for _, text in _damaged_checkpoints(database)]
+    states = sorted((folder / STATES).glob("*.0"))
+    faults += [
+        Fault(str(file.relative_to(folder)), "the group's state is damaged") for file in states if is_damaged(file)
+    ]
     logs = _logs(folder)
     for log in logs:
         cut = log.stat().st_size - whole_bytes(log)
         if cut > 0 and _is_free(log):
             text = f"its last {cut} bytes are an incomplete record, as after a power cut"
             faults.append(Fault(str(log.relative_to(folder)), text))
-    return Checked(len(files) + len(logs), chunks, rows, tuple(faults))
+    return Checked(len(files) + len(logs) + len(states), chunks, rows, tuple(faults))
 
 
 def repair(where: str) -> list[str]:
@@ -85,6 +90,11 @@ def repair(where: str) -> list[str]:
                 )
         for file in sorted((folder / DAYS).glob("*.sqlite")):
             done += [f"{file.relative_to(folder)}: removed: {text}" for text in _without_damaged_chunks(file)]
+        for file in sorted((folder / STATES).glob("*.0")):
+            if is_damaged(file):
+                file.unlink()
+                file.with_suffix(".1").unlink()
+                done.append(f"{file.relative_to(folder)}: the state of the group was removed; its points open anew")
         with closing(open_store(where)) as store:
             done += _checkpoints_removed(store)
             done += [f"log: {count} pieces became blocks" for count in store.take_over() if count]
@@ -123,7 +133,8 @@ def backup(where: str, target: Path) -> list[str]:
 
 
 def _copied(folder: Path, part: Path) -> list[str]:
-    names = [name for name in (_copy(folder, part, folder / CHECKPOINT_FILE),) if name]
+    first = [folder / CHECKPOINT_FILE, *sorted((folder / STATES).glob("*"))]
+    names = [name for file in first if (name := _copy(folder, part, file))]
     # Each is listed once what comes before it is copied: a log, or the blocks that one becomes, may be made meanwhile.
     for listed in (_logs, _others):
         names += [name for file in listed(folder) if (name := _copy(folder, part, file))]
@@ -139,7 +150,8 @@ def _others(folder: Path) -> list[Path]:
     return [
         file
         for file in sorted(folder.rglob("*"))
-        if file.is_file() and file != folder / CHECKPOINT_FILE and file.relative_to(folder).parts[0] not in LEFT_OUT
+        if file.is_file() and file != folder / CHECKPOINT_FILE
+        and file.relative_to(folder).parts[0] not in (*LEFT_OUT, STATES)
         # SQLite's own files of a database are in the copy that it makes.
         and ".sqlite-" not in file.name and not file.name.endswith((DAMAGED, UNFINISHED))
     ]  # fmt: skip
@@ -208,7 +220,7 @@ def _each_chunk(file: Path) -> Iterator[tuple[str, int, int, str]]:
 
 def _fault_of(point: str, stream: str, t0_ns: int, t1_ns: int, count: int, body: bytes) -> str:
     try:
-        time_ns = decode(bytes(body), point, stream).time_ns
+        time_ns = decoded(bytes(body), point, stream).time_ns
     except DataError as error:
         return str(error)
     whole = len(time_ns) == count and int(time_ns[0]) == t0_ns and int(time_ns[-1]) == t1_ns

@@ -1,9 +1,9 @@
 // Every point on one screen: value, state, age, since when, and what is wrong in one sentence.
 
 import { showAlarms } from "../alarms.ts";
-import type { PointState } from "../api.ts";
+import type { Group, PointState } from "../api.ts";
 import { el, mark, say } from "../dom.ts";
-import type { SiteState } from "../site_state.ts";
+import { SHOWN, type SiteState } from "../site_state.ts";
 import { clock, duration, STATUS_WORDS, withBand } from "../words.ts";
 import { repeat, type View } from "./view.ts";
 
@@ -76,14 +76,32 @@ export function trouble(point: PointState, site: SiteState): string {
   return point.reason === "calibration_offered" ? "" : point.text;
 }
 
+/** What is not shown of a group, in one sentence. */
+export function ofGroup({ group, numbers: [first, end, step], reasons }: Group): string {
+  const count = Math.ceil((end - first) / step);
+  const wrong = Object.entries(reasons).map(([reason, points]) => `${points} ${reason.replace("_", " ")}`);
+  const listed = count > SHOWN ? ` ${SHOWN} are shown, first those that need attention.` : "";
+  return `Group ${group}: ${count} points; ${wrong.length ? wrong.join(", ") : "all are measured"}.${listed}`;
+}
+
+/** Points that are none of a group's. */
+const alone = (site: SiteState) =>
+  site.points.filter((one) => !site.health?.groups?.some(({ group }) => isOf(group, one.name)));
+
+const isOf = (group: string, name: string) =>
+  name.startsWith(`${group}-`) && /^\d+$/.test(name.slice(group.length + 1));
+
 /** One sentence on the whole site. */
 function summary(site: SiteState): { state: string; text: string } {
-  const count = site.points.length;
+  const groups = site.health?.groups ?? [];
+  const inGroups = groups.reduce((sum, { numbers: [first, end, step] }) => sum + Math.ceil((end - first) / step), 0);
+  const badInGroups = groups.flatMap((one) => Object.values(one.reasons)).reduce((sum, one) => sum + one, 0);
+  const count = alone(site).length + inGroups;
   if (!site.health) return { state: "unknown", text: "Waiting for the server." };
   if (!site.fresh) return { state: "unknown", text: "No connection: the values shown are old." };
   if (!count) return { state: "unknown", text: "There are no points yet." };
-  const states = site.points.map((one) => urgencyOf(one, site));
-  const bad = states.filter((one) => one !== "good").length;
+  const states = alone(site).map((one) => urgencyOf(one, site));
+  const bad = states.filter((one) => one !== "good").length + badInGroups;
   if (!bad && site.health.ready)
     return {
       state: "good",
@@ -160,13 +178,17 @@ export const showSite: View = (root, site) => {
   const list = el("ul", { class: "cards" });
   const settings = el("p", { class: "wrong" });
   const cards = new Map<string, Card>();
-  root.replaceChildren(el("h1", {}, "Site"), head, settings, list);
+  const groups = el("div");
+  root.replaceChildren(el("h1", {}, "Site"), head, settings, groups, list);
 
   return repeat(() => {
     const { state, text } = summary(site);
     mark(head, state);
     say(head, text);
     say(settings, site.health?.settings ? `SITE.toml: ${site.health.settings.text}` : "");
+    const lines = (site.health?.groups ?? []).map(ofGroup);
+    if (lines.join() !== [...groups.children].map((one) => one.textContent).join())
+      groups.replaceChildren(...lines.map((one) => el("p", { class: "quiet" }, one)));
     for (const point of site.points) {
       let shown = cards.get(point.name);
       if (!shown) {

@@ -1,0 +1,186 @@
+"""One group of a running site: its messages become blocks, its bank filters them, its points stand somehow."""
+
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from midspan.engine.bank import Bank, BankBlocks, BankCode, BankSensor, BankSettings
+from midspan.records import NANOSECONDS, Event, GroupRows
+from midspan.service.group_messages import OF_ALL, PointBlocks, Refusals, not_ahead, of_all, of_points
+from midspan.service.group_results import Standings
+from midspan.settings.group import NUMBER, GroupPlan, topic_of
+from midspan.sources.live.blocks import MAX_BYTES
+from midspan.sources.live.instants import SourceFault
+
+# Of a sensor of a group this waits at most until it is read, once a second.
+MAX_WAITING_BYTES = 256_000_000
+# What cannot be used is an event of the group so often, s.
+TELL_AGAIN_S = 60.0
+# Of one message of all points at most this many bytes a point: 250 values.
+POINT_BYTES = 1000
+# Kind and text of the event that each code of the bank is.
+EVENTS = {
+    BankCode.LATE: ("late", "Readings came after the rows that they belong to and are left out."),
+    BankCode.OVERFLOW: ("overflow", "Too many readings wait for the other sensor; the oldest are left out."),
+    BankCode.SHIFTED: ("level_shift", "The displacement has shifted for good; the standard deviation includes it."),
+    BankCode.LOST: ("lost", "No displacement is accepted any more."),
+    BankCode.TRACKING: ("returned", "Displacements are accepted again."),
+    BankCode.FROZEN: ("frozen", "The displacement sensor repeats one value, which is left out from now on."),
+}
+
+
+class Inbox:
+    """Messages of one sensor of a group that wait to be read. `put` is called from the broker's thread."""
+
+    def __init__(self, kind: int, *, shared: bool) -> None:
+        self.kind, self.shared = kind, shared
+        self._waiting = deque[tuple[int, bytes, tuple[int, int]]]()
+        self._bytes, self._counting = 0, threading.Lock()
+
+    def put(self, place: int, payload: bytes, receipt: tuple[int, int]) -> bool:
+        """Queue a message of a point's place; receipt: what it is acknowledged with. Whether there was room."""
+        if self._bytes + len(payload) > MAX_WAITING_BYTES:
+            return False
+        with self._counting:
+            self._bytes += len(payload)
+        self._waiting.append((place, payload, receipt))
+        return True
+
+    def take(self) -> list[tuple[int, bytes, tuple[int, int]]]:
+        """What waits, in the order in which it came."""
+        waiting = self._waiting
+        taken = [waiting.popleft() for _ in range(len(waiting))]
+        with self._counting:
+            self._bytes -= sum(len(payload) for _, payload, _ in taken)
+        return taken
+
+
+@dataclass(frozen=True, slots=True)
+class GroupSecond:
+    """What a group gave at once: rows, events by point, the bank's state after them, and what may be acknowledged."""
+
+    rows: GroupRows
+    events: list[tuple[str, Event]]
+    state: bytes
+    receipts: list[tuple[int, int]]
+
+
+@dataclass(slots=True)
+class Group:
+    """plan: of the group; bank: its filter. Times come as arguments."""
+
+    plan: GroupPlan
+    bank: Bank
+    inboxes: tuple[Inbox, Inbox] = field(init=False)
+    standings: Standings = field(init=False)
+    # The newest stamp of all blocks that came: points without blocks go on, or end, by that.
+    until_ns: int = 0
+    messages: int = 0
+    faults: int = 0
+    _refused: Refusals = field(default_factory=Refusals)
+    _reported_s: float = -TELL_AGAIN_S
+
+    def __post_init__(self) -> None:
+        settings = self.plan.settings
+        addresses = (settings.accelerometer, settings.displacement)
+        shared = [NUMBER not in one for one in addresses]
+        kinds = [OF_ALL[kind] if one else kind for kind, one in zip((1, 2), shared, strict=True)]
+        first, second = (Inbox(kind, shared=one) for kind, one in zip(kinds, shared, strict=True))
+        self.inboxes = (first, second)
+        self.standings = Standings(len(self.plan.numbers))
+
+    @classmethod
+    def begun(cls, plan: GroupPlan, state: bytes | None = None) -> "Group":
+        """A group that nothing has come for yet, or that goes on from its bank's state."""
+        settings = plan.settings
+        own = BankSettings(
+            acceleration_std_m_s2=settings.accelerometer_noise_std * plan.accelerometer_factor,
+            displacement_std_m=settings.displacement_noise_std * plan.displacement_factor,
+        )
+        bank = None if state is None else Bank.restored(state, own)
+        # A group that has more or fewer points than before begins anew.
+        return cls(plan, bank if bank is not None and len(bank) == len(plan.numbers) else Bank(len(plan.numbers), own))
+
+    @property
+    def topics(self) -> dict[str, tuple[Inbox, int]]:
+        """By each topic the inbox of its sensor, and the place in the bank of the point that it is of."""
+        found = dict[str, tuple[Inbox, int]]()
+        addresses = (self.plan.settings.accelerometer, self.plan.settings.displacement)
+        for address, inbox in zip(addresses, self.inboxes, strict=True):
+            numbers = self.plan.numbers[:1] if inbox.shared else self.plan.numbers
+            found |= {topic_of(address, number): (inbox, place) for place, number in enumerate(numbers)}
+        return found
+
+    def name(self, place: int) -> str:
+        """The name of the point at a place of the bank."""
+        return self.plan.point(self.plan.numbers[place])
+
+    def second(self, now_ns: int) -> GroupSecond:
+        """Filter what came, up to the newest stamp of all blocks."""
+        receipts = list[tuple[int, int]]()
+        factors = (self.plan.accelerometer_factor, self.plan.displacement_factor)
+        for sensor, (inbox, factor) in enumerate(zip(self.inboxes, factors, strict=True)):
+            taken = inbox.take()
+            receipts += [receipt for _, _, receipt in taken]
+            for blocks in self._blocks(inbox, taken, now_ns):
+                self.until_ns = max(self.until_ns, int(blocks.end_ns.max()))
+                self.standings.heard(sensor, blocks.point, now_ns / NANOSECONDS)
+                self.bank.push(_in_si(sensor, blocks, factor))
+        rows = self.bank.rows(self.until_ns)
+        self.standings.given(rows, now_ns / NANOSECONDS)
+        self.standings.look(now_ns / NANOSECONDS)
+        return GroupSecond(rows, [*self._events(), *self._reports(now_ns)], self.bank.state(), receipts)
+
+    def _blocks(self, inbox: Inbox, taken: list[tuple[int, bytes, tuple[int, int]]], now_ns: int) -> list[PointBlocks]:
+        """Messages as blocks without what cannot be used, which is counted."""
+        self.messages += len(taken)
+        found = list[PointBlocks]()
+        if not inbox.shared:
+            places, payloads = [one[0] for one in taken], [one[1] for one in taken]
+            found = of_points(inbox.kind, places, payloads, self._refused)
+        for _, payload, _ in taken if inbox.shared else ():
+            try:
+                blocks = of_all(inbox.kind, self.plan.settings.points, self.plan.numbers, payload)
+            except SourceFault as fault:
+                self._refused.add(fault)
+            else:
+                found += [] if blocks is None else [blocks]
+        usable = (not_ahead(one, now_ns, self._refused) for one in found)
+        return [one for one in usable if one is not None]
+
+    def _events(self) -> list[tuple[str, Event]]:
+        found = []
+        for place, time_ns, code in self.bank.events():
+            kind, text = EVENTS[code]
+            found.append((self.name(place), Event(time_ns, kind, text)))
+        return found
+
+    def _reports(self, now_ns: int) -> list[tuple[str, Event]]:
+        """What could not be used since that was last an event of the group."""
+        if not self._refused.count or now_ns / NANOSECONDS - self._reported_s < TELL_AGAIN_S:
+            return []
+        refused, self._refused, self._reported_s = self._refused, Refusals(), now_ns / NANOSECONDS
+        self.faults += refused.count
+        text = f"{self.plan.name}: {refused.count} messages could not be used, such as: "
+        return [(self.plan.name, Event(now_ns, code, text + why)) for code, why in refused.texts.items()]
+
+
+def _in_si(sensor: int, blocks: PointBlocks, factor: float) -> BankBlocks:
+    """Blocks as the bank takes them."""
+    values = blocks.values if factor == 1.0 else factor * blocks.values.astype(np.float64)
+    return BankBlocks(BankSensor(sensor), blocks.point, blocks.t0_ns, blocks.dt_ns, blocks.count, values)
+
+
+def numbered(rows: GroupRows, numbers: range) -> GroupRows:
+    """Rows by place in the bank as rows by the group's numbers."""
+    if numbers.start == 0 and numbers.step == 1:
+        return rows
+    return replace(rows, point=(numbers.start + numbers.step * rows.point).astype(np.uint32))
+
+
+def max_bytes_of(plans: Sequence[GroupPlan]) -> int:
+    """Bytes of a message at most: more where one has the blocks of all points of a group."""
+    return max([MAX_BYTES, *(POINT_BYTES * plan.settings.points for plan in plans)])
