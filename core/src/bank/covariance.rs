@@ -67,29 +67,28 @@ impl Kept {
     #[inline]
     pub fn whole(&self) -> Covariance {
         let mut p = [[0.0; STATES]; STATES];
-        let (mut first, mut others) = (self.first.iter(), self.others.iter());
-        for i in 0..STATES {
-            for j in 0..=i {
-                let element = if i < T { first.next().copied() } else { others.next().map(|&one| f64::from(one)) };
-                p[i][j] = element.unwrap_or_default();
-                p[j][i] = p[i][j];
+        for (i, row) in p.iter_mut().enumerate() {
+            for (j, element) in row.iter_mut().enumerate() {
+                let k = place(i.max(j), i.min(j));
+                *element = if k < FIRST { self.first[k] } else { f64::from(self.others[k - FIRST]) };
             }
         }
         Covariance(p)
     }
 
-    /// Variances of displacement and velocity after a span.
+    /// Variances of displacement and velocity after a span; q, w: densities of the acceleration's noise and of its
+    /// bias's walk.
     #[inline]
-    pub fn row(&self, span: &Span, walks: &Walks) -> (f64, f64) {
+    pub fn row(&self, span: &Span, q: f64, w: f64) -> (f64, f64) {
         let [xx, xv, vv, xb, vb, bb, ..] = self.first;
         let [.., xg, vg, bg, _, _, gg] = self.others.map(f64::from);
         let (t, d, u) = (span.t, span.displacement, span.velocity);
-        let (half, q) = (0.5 * t * t, walks.density + walks.bias * t * t / 3.0);
+        let half = 0.5 * t * t;
         let place = xx + t * (2.0 * xv + t * vv) - half * (2.0 * (xb + t * vb) - half * bb);
         let speed = vv - t * (2.0 * vb - t * bb);
         let place = place + d * (2.0 * (xg + t * vg - half * bg) + d * gg);
         let speed = speed + u * (2.0 * (vg - t * bg) + u * gg);
-        (place + t * t * t / 3.0 * (walks.density + 0.15 * walks.bias * t * t), speed + t * q)
+        (place + t * t * t * (q / 3.0 + 0.05 * w * t * t), speed + t * (q + w * t * t / 3.0))
     }
 }
 
@@ -102,13 +101,13 @@ impl Covariance {
     #[inline]
     pub fn kept(&self) -> Kept {
         let mut kept = Kept::default();
-        let (mut first, mut others) = (kept.first.iter_mut(), kept.others.iter_mut());
-        for i in 0..STATES {
-            for j in 0..=i {
-                if i < T {
-                    first.next().map(|one| *one = self.0[i][j]);
+        for (i, row) in self.0.iter().enumerate() {
+            for (j, &element) in row.iter().enumerate().take(i + 1) {
+                let k = place(i, j);
+                if k < FIRST {
+                    kept.first[k] = element;
                 } else {
-                    others.next().map(|one| *one = self.0[i][j] as f32);
+                    kept.others[k - FIRST] = element as f32;
                 }
             }
         }
@@ -117,6 +116,7 @@ impl Covariance {
 
     /// Φ P Φ' + Q after a span; decay: what is left of the slow error.
     #[inline]
+    #[allow(clippy::needless_range_loop)]
     pub fn moved(mut self, span: &Span, decay: f64, walks: &Walks) -> Self {
         let p = &mut self.0;
         let (t, half) = (span.t, 0.5 * span.t * span.t);
@@ -154,13 +154,20 @@ impl Covariance {
     /// P + c a a'.
     #[inline]
     pub fn with(mut self, c: f64, a: &Vector) -> Self {
-        for (i, row) in self.0.iter_mut().enumerate() {
-            for (j, element) in row.iter_mut().enumerate() {
-                *element += c * (a[i] * a[j]);
+        let by = a.map(|one| c * one);
+        for (row, by) in self.0.iter_mut().zip(by) {
+            for (element, other) in row.iter_mut().zip(a) {
+                *element += by * other;
             }
         }
         self
     }
+}
+
+/// Where an element of the lower triangle is kept.
+#[inline(always)]
+const fn place(i: usize, j: usize) -> usize {
+    i * (i + 1) / 2 + j
 }
 
 /// a' b.

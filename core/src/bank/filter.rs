@@ -4,26 +4,28 @@
 //! stand at the instant of the last measurement; what the acceleration adds since is integrated sample by sample, as
 //! in `estimator::motion`, so that a row is a polynomial in the time since (see `covariance`).
 
-use super::covariance::{B, Covariance, G, Kept, S, STATES, Span, T, V, Vector, Walks, X, dot};
+use super::covariance::{B, Covariance, G, Kept, S, STATES, Span, T, V, Vector, X, dot};
 use super::events::{Code, Event};
-use super::noise::{self, Noise};
+use super::noise::{self, Noise, Shown};
 use super::queue::{Queue, Reading};
 use super::rows::Row;
 use super::settings::Settings;
 use crate::Status;
-use crate::estimator::motion::{AxisMotion, GAP_STEPS, Response, lead_of};
+use crate::estimator::motion::{AxisMotion, GAP_STEPS, lead_of};
 use serde::{Deserialize, Serialize};
 
 /// No instant.
 const NEVER: i64 = i64::MIN;
 const SECOND: f64 = 1e9;
+const NANOSECOND: f64 = 1e-9;
+const MILLISECOND: i64 = 1_000_000;
 /// Standard deviations of velocity (m/s) and bias (m/s²) before any measurement.
 const VELOCITY_STD: f64 = 0.3;
 const BIAS_STD: f64 = 0.3;
 /// Rows begin with this many accepted measurements.
 const FIRST_MEASUREMENTS: u8 = 8;
-/// This many improbable measurements in a row are no outliers.
-const SHIFTED: u8 = 5;
+/// This many improbable measurements of one sign in a row are no outliers.
+const SHIFTED: i8 = 4;
 /// A value that was measured this many times in a row is no measurement any more.
 const FROZEN: u8 = 10;
 /// Rows end this long after a point was lost, s; what is begun anew after that long.
@@ -34,7 +36,7 @@ const LOST_INTERVALS: f64 = 10.0;
 /// The mean square of the acceleration is followed over this time, s.
 const ENERGY_S: f64 = 10.0;
 /// A sample this many standard deviations of the acceleration off waits for the next one to confirm it.
-const SPIKE: f64 = 8.0;
+const SPIKE: f64 = 6.0;
 /// Unknown acceleration is taken to be no slower than this, Hz.
 const SLOWEST_HZ: f64 = 1.0;
 /// Share of single samples far off that are true.
@@ -50,9 +52,8 @@ pub struct Filter {
     covariance: Kept,
     /// Displacement and velocity that the acceleration has added since the anchor, up to the last sample.
     added: [f64; 2],
-    /// The last sample, m/s², and the slope before it, m/s³.
+    /// The last sample, m/s².
     input: f64,
-    slope: f64,
     #[serde(with = "postcard::fixint::le")]
     at_ns: i64,
     #[serde(with = "postcard::fixint::le")]
@@ -62,21 +63,25 @@ pub struct Filter {
     #[serde(with = "postcard::fixint::le")]
     step_ns: u32,
     #[serde(with = "postcard::fixint::le")]
-    interval_ns: u32,
+    interval_ms: u16,
     #[serde(with = "postcard::fixint::le")]
-    last_bits: u32,
+    last_bits: u16,
     /// τ and g.
     aside: [f32; 2],
     /// From the last accepted measurement to the anchor, s.
     age_s: f32,
     noise: Noise,
+    /// Slope of the acceleration before the last sample, m/s³.
+    slope: f32,
+    /// The first one of the improbable innovations, m.
+    innovation_m: f32,
     /// Mean square of the acceleration without its bias, (m/s²)².
     energy: f32,
     /// What a sample that waits to be confirmed was off by, m/s².
     unconfirmed: f32,
     repeats: u8,
-    improbable: u8,
     accepted: u8,
+    improbable: i8,
     lost: bool,
 }
 
@@ -84,7 +89,9 @@ pub struct Filter {
 struct Interval {
     motion: AxisMotion,
     end_ns: i64,
-    walks: Walks,
+    /// Of the acceleration's noise, (m/s²)²/Hz.
+    density: f64,
+    is_gap: bool,
 }
 
 impl Filter {
@@ -96,11 +103,12 @@ impl Filter {
             added: [0.0; 2],
             input: 0.0,
             slope: 0.0,
+            innovation_m: 0.0,
             at_ns: NEVER,
             anchor_ns: NEVER,
             stamped_ns: NEVER,
             step_ns: 0,
-            interval_ns: 0,
+            interval_ms: 0,
             last_bits: 0,
             aside: [0.0; 2],
             age_s: 0.0,
@@ -108,9 +116,9 @@ impl Filter {
             energy: (settings.acceleration_std * settings.acceleration_std) as f32,
             unconfirmed: 0.0,
             repeats: 0,
-            improbable: 0,
             accepted: 0,
             lost: false,
+            improbable: 0,
         }
     }
 
@@ -151,8 +159,14 @@ impl Filter {
         while let Some(one) = waiting.take(until_ns) {
             self.measure(&one, &interval, settings, out);
         }
-        self.end(interval, settings);
+        self.end(&interval, settings);
         self.row(settings, out)
+    }
+
+    /// Density of the acceleration's noise, (m/s²)²/Hz; step_s: from one sample to the next.
+    #[inline]
+    fn density(&self, step_s: f64, settings: &Settings) -> f64 {
+        settings.acceleration_std * settings.acceleration_std * step_s * self.noise.colour()
     }
 
     /// Begins with a sample: where the structure is, the next measurement tells.
@@ -167,81 +181,97 @@ impl Filter {
     #[inline]
     fn interval(&mut self, sample: &Reading, settings: &Settings) -> Interval {
         let dt_ns = sample.time_ns - self.at_ns;
-        let (dt, step) = (dt_ns as f64 / SECOND, sample.step_ns as f64 / SECOND);
-        let white = settings.acceleration_std * settings.acceleration_std * step;
+        let (dt, step) = (dt_ns as f64 * NANOSECOND, sample.step_ns as f64 * NANOSECOND);
+        let white = self.density(step, settings);
         let is_gap = dt > GAP_STEPS * step;
         let density = if is_gap { white + f64::from(self.energy) / SLOWEST_HZ } else { white };
-        let walks = settings.walks(density, self.noise.slow_m2());
         if self.accepted > 0 && (is_gap || i64::from(self.step_ns) != sample.step_ns) {
-            let before = self.step_ns as f64 / SECOND * settings.acceleration_std * settings.acceleration_std;
-            self.anchor(self.at_ns, self.added, &Walks { density: before, ..walks });
+            self.anchor(self.density(f64::from(self.step_ns) * NANOSECOND, settings), settings);
         }
         self.step_ns = u32::try_from(sample.step_ns).unwrap_or(u32::MAX);
-        let value = self.confirmed(sample.value, dt, &walks);
+        let value = self.confirmed(sample.value, dt, density, settings);
         let lead = |dt: f64| if is_gap { 0.0 } else { lead_of(dt) };
-        let mut motion = AxisMotion { input: self.input, slope: self.slope, lead: lead(step) };
+        let mut motion = AxisMotion { input: self.input, slope: f64::from(self.slope), lead: lead(step) };
         self.added[1] += motion.begin(value, dt, lead(dt));
-        Interval { motion, end_ns: sample.time_ns, walks }
+        Interval { motion, end_ns: sample.time_ns, density, is_gap }
     }
 
     /// The sample, or the one before it where it is far off and the next one has still to confirm it.
     #[inline]
-    fn confirmed(&mut self, value: f64, dt: f64, walks: &Walks) -> f64 {
+    fn confirmed(&mut self, value: f64, dt: f64, density: f64, settings: &Settings) -> f64 {
         let (off, energy) = (value - self.mean[B], f64::from(self.energy));
         let square = off * off;
-        self.energy += ((dt / ENERGY_S).min(1.0) * (square.min(1000.0 * energy) - energy)) as f32;
-        self.energy = self.energy.max((walks.density * 1e-3) as f32);
         let before = f64::from(self.unconfirmed);
         let step = value - self.input;
+        self.unconfirmed = 0.0;
         if before != 0.0 {
-            self.unconfirmed = 0.0;
             if step * before > 0.5 * before * before {
                 // Confirmed: what it was taken for too little is made up for.
                 self.added[0] += before * dt * dt;
                 self.added[1] += before * dt;
-            } else if self.accepted > 0 {
-                self.anchor(self.at_ns, self.added, walks);
-                let mut p = self.covariance.whole();
+                self.follow_energy(square, dt);
+                return value;
+            }
+            if self.accepted > 0 {
+                let mut p = self.moved(self.at_ns, self.added, density, settings);
                 p.0[V][V] += TRUE_SPIKES * before * before * dt * dt;
                 self.covariance = p.kept();
             }
-            return value;
         }
         if square > SPIKE * SPIKE * energy && step * step > 0.25 * square {
             self.unconfirmed = step as f32;
             return self.input;
         }
+        self.follow_energy(square, dt);
         value
+    }
+
+    /// Follows the mean square of the acceleration.
+    #[inline]
+    fn follow_energy(&mut self, square: f64, dt: f64) {
+        let energy = f64::from(self.energy);
+        self.energy += ((dt / ENERGY_S).min(1.0) * (square.min(1000.0 * energy) - energy)) as f32;
     }
 
     /// Displacement and velocity that the acceleration has added since the anchor up to an instant of an interval.
     #[inline]
     fn added_to(&self, to_ns: i64, interval: &Interval) -> [f64; 2] {
-        let from_s = (self.at_ns.max(self.anchor_ns) - self.at_ns) as f64 / SECOND;
-        let to_s = (to_ns - self.at_ns) as f64 / SECOND;
-        let (before, after): (Response, Response) = (interval.motion.response(from_s), interval.motion.response(to_s));
-        let dt = to_s - from_s;
+        let to_s = (to_ns - self.at_ns) as f64 * NANOSECOND;
+        let after = interval.motion.response(to_s);
         let [place, speed] = self.added;
+        if self.anchor_ns <= self.at_ns {
+            return [place + to_s * speed + after.x, speed + after.v];
+        }
+        let from_s = (self.anchor_ns - self.at_ns) as f64 * NANOSECOND;
+        let before = interval.motion.response(from_s);
+        let dt = to_s - from_s;
         [place + dt * speed + (after.x - before.x - dt * before.v), speed + (after.v - before.v)]
     }
 
-    /// Moves mean and covariance to an instant, given what the acceleration has added up to it.
-    fn anchor(&mut self, to_ns: i64, added: [f64; 2], walks: &Walks) {
+    /// Moves the mean to an instant, given what the acceleration has added up to it; the covariance there.
+    #[inline]
+    fn moved(&mut self, to_ns: i64, added: [f64; 2], density: f64, settings: &Settings) -> Covariance {
+        let walks = settings.walks(density, self.noise.slow_m2(settings));
         let span = self.span(to_ns, added);
         let decay = (-span.t / walks.slow_time_s).exp();
-        self.covariance = self.covariance.whole().moved(&span, decay, walks).kept();
         let gained = 1.0 + f64::from(self.aside[1]);
         self.mean[X] += span.t * self.mean[V] + gained * span.displacement;
         self.mean[V] += gained * span.velocity;
         self.mean[S] *= decay;
         self.age_s += span.t as f32;
         (self.anchor_ns, self.added) = (to_ns, [0.0; 2]);
+        self.covariance.whole().moved(&span, decay, &walks)
+    }
+
+    /// Moves the anchor to the last sample.
+    fn anchor(&mut self, density: f64, settings: &Settings) {
+        self.covariance = self.moved(self.at_ns, self.added, density, settings).kept();
     }
 
     /// The time from the anchor to an instant, given what the acceleration has added in it.
     #[inline]
     fn span(&self, to_ns: i64, added: [f64; 2]) -> Span {
-        let t = (to_ns - self.anchor_ns) as f64 / SECOND;
+        let t = (to_ns - self.anchor_ns) as f64 * NANOSECOND;
         let b = self.mean[B];
         Span { t, displacement: added[0] - 0.5 * t * t * b, velocity: added[1] - t * b }
     }
@@ -249,7 +279,7 @@ impl Filter {
     /// Takes a measurement whose instant lies in an interval.
     fn measure(&mut self, one: &Reading, interval: &Interval, settings: &Settings, out: &mut Vec<Event>) {
         self.stamped_ns = one.time_ns;
-        self.interval_ns = u32::try_from(one.step_ns).unwrap_or(u32::MAX);
+        self.interval_ms = u16::try_from(one.step_ns / MILLISECOND).unwrap_or(u16::MAX);
         if self.is_frozen(one, out) {
             return;
         }
@@ -265,13 +295,13 @@ impl Filter {
         if self.accepted == 0 {
             self.start(at_ns, one.value, settings);
         } else {
-            self.correct(one, at_ns, interval, out);
+            self.correct(one, at_ns, interval, settings, out);
         }
     }
 
     fn is_frozen(&mut self, one: &Reading, out: &mut Vec<Event>) -> bool {
         let bits = one.value.to_bits();
-        let bits = (bits ^ (bits >> 32)) as u32;
+        let bits = (bits ^ (bits >> 16) ^ (bits >> 32) ^ (bits >> 48)) as u16;
         self.repeats = if bits == self.last_bits { self.repeats.saturating_add(1) } else { 0 };
         self.last_bits = bits;
         if self.repeats == FROZEN {
@@ -283,8 +313,8 @@ impl Filter {
     /// The state at the first measurement.
     fn start(&mut self, at_ns: i64, value: f64, settings: &Settings) {
         let mut p = Covariance([[0.0; STATES]; STATES]);
-        let slow = self.noise.slow_m2();
-        p.0[X][X] = self.noise.white_m2() + slow;
+        let slow = self.noise.slow_m2(settings);
+        p.0[X][X] = self.noise.white_m2(settings) + slow;
         (p.0[X][S], p.0[S][X], p.0[S][S]) = (-slow, -slow, slow);
         p.0[V][V] = VELOCITY_STD * VELOCITY_STD;
         p.0[B][B] = BIAS_STD * BIAS_STD;
@@ -297,31 +327,48 @@ impl Filter {
 
     /// Corrects the state by a measurement: a mixture of one of the stated noise and an outlier, matched in mean and
     /// covariance.
-    fn correct(&mut self, one: &Reading, at_ns: i64, interval: &Interval, out: &mut Vec<Event>) {
+    fn correct(&mut self, one: &Reading, at_ns: i64, interval: &Interval, settings: &Settings, out: &mut Vec<Event>) {
         let added = self.added_to(at_ns, interval);
-        self.anchor(at_ns, added, &interval.walks);
-        let since_s = (at_ns - self.at_ns) as f64 / SECOND;
-        let ahead_s = (one.time_ns - at_ns) as f64 / SECOND - f64::from(self.aside[0]);
+        let mut p = self.moved(at_ns, added, interval.density, settings);
+        let since_s = (at_ns - self.at_ns) as f64 * NANOSECOND;
+        let ahead_s = (one.time_ns - at_ns) as f64 * NANOSECOND - f64::from(self.aside[0]);
         let speed = self.mean[V] - interval.motion.ahead();
         let h: Vector = [1.0, ahead_s, 0.0, 1.0, -speed, 0.0];
-        let mut p = self.covariance.whole();
         let pull = interval.motion.input + since_s * interval.motion.slope - self.mean[B];
         let bend = 0.5 * pull * p.0[T][T];
-        let white = self.noise.white_m2() + bend * bend;
+        let white = self.noise.white_m2(settings) + bend * bend;
         let innovation = one.value - self.mean[X] - self.mean[S] - ahead_s * speed;
         let mut ph = p.times(&h);
-        let mut variance = dot(&h, &ph) + white;
-        let mut share = noise::sound_share(innovation, variance);
+        let mut predicted = dot(&h, &ph);
+        let mut variance = predicted + white;
+        let mut share =
+            if settings.as_stated { 1.0 } else { noise::sound_share(innovation, variance, self.improbable != 0) };
+        let mut shown = Shown {
+            innovation,
+            variance,
+            left: None,
+            share,
+            interval_s: one.step_ns as f64 * NANOSECOND,
+            count: self.accepted,
+        };
         if share < 0.5 {
-            self.improbable += 1;
-            if self.improbable >= SHIFTED {
-                self.improbable = 0;
-                p = self.shifted(p, innovation);
-                ph = p.times(&h);
-                variance = dot(&h, &ph) + white;
-                share = noise::sound_share(innovation, variance);
-                out.push(Event { time_ns: one.time_ns, code: Code::Shifted });
+            // A value that comes again is no second measurement of a shifted zero.
+            if self.repeats > 0 || !self.is_shifted(innovation) {
+                self.covariance = p.kept();
+                self.noise.follow(&shown, settings);
+                return;
             }
+            self.improbable = 0;
+            if self.accepted < FIRST_MEASUREMENTS {
+                self.accepted = 0;
+                return;
+            }
+            p = self.shifted(p, innovation, settings);
+            ph = p.times(&h);
+            predicted = dot(&h, &ph);
+            variance = predicted + white;
+            share = noise::sound_share(innovation, variance, false);
+            out.push(Event { time_ns: one.time_ns, code: Code::Shifted });
         }
         let by = share * innovation / variance;
         for (state, change) in self.mean.iter_mut().zip(&ph) {
@@ -329,45 +376,56 @@ impl Filter {
         }
         self.aside[0] = (f64::from(self.aside[0]) + by * ph[T]).clamp(-1.0, 1.0) as f32;
         self.aside[1] = (f64::from(self.aside[1]) + by * ph[G]).clamp(-0.5, 0.5) as f32;
-        let spread = share * (1.0 - share) * innovation * innovation - share * variance;
-        p = p.with(spread / (variance * variance), &ph);
-        self.covariance = p.kept();
-        if share >= 0.5 {
-            (self.improbable, self.age_s) = (0, 0.0);
-            self.accepted = self.accepted.saturating_add(1);
-            if self.accepted >= FIRST_MEASUREMENTS {
-                let residual = innovation - by * dot(&h, &ph);
-                let left = residual * residual + dot(&h, &p.times(&h)) - bend * bend;
-                let slow = self.mean[S] * self.mean[S] + p.0[S][S];
-                self.noise.follow(left, slow, share, f64::from(self.interval_ns) / SECOND);
-            }
+        let spread = (share * (1.0 - share) * innovation * innovation - share * variance) / (variance * variance);
+        self.covariance = p.with(spread, &ph).kept();
+        (self.age_s, self.improbable) = (0.0, 0);
+        self.accepted = self.accepted.saturating_add(1);
+        if self.accepted >= FIRST_MEASUREMENTS && !settings.as_stated {
+            let residual = innovation - by * predicted;
+            shown.left = Some(residual * residual + predicted + spread * predicted * predicted - bend * bend);
+            self.noise.follow(&Shown { variance, share, ..shown }, settings);
         }
     }
 
-    /// The covariance where neither the displacement nor the sensor's zero is what it was by `off` metres.
-    fn shifted(&mut self, mut p: Covariance, off: f64) -> Covariance {
-        let age = f64::from(self.age_s).max(0.1);
-        p.0[X][X] += off * off;
-        p.0[S][S] += off * off;
-        p.0[V][V] += (off / age) * (off / age);
-        self.noise.shifted(off * off);
+    /// Whether enough improbable innovations of one sign have come in a row.
+    fn is_shifted(&mut self, innovation: f64) -> bool {
+        let one = if innovation > 0.0 { 1 } else { -1 };
+        let goes_on = self.improbable * one > 0;
+        self.improbable = if goes_on { self.improbable + one } else { one };
+        if !goes_on {
+            self.innovation_m = innovation as f32;
+        }
+        self.improbable.abs() >= SHIFTED
+    }
+
+    /// The covariance where the displacement is not what it was by `off` metres. Where the first improbable innovation
+    /// was as large, the sensor's zero has shifted, and may do so again; else the velocity is wrong.
+    fn shifted(&mut self, mut p: Covariance, off: f64, settings: &Settings) -> Covariance {
+        let square = off * off;
+        p.0[X][X] += square;
+        if (off - f64::from(self.innovation_m)).abs() < 0.5 * off.abs() {
+            p.0[S][S] += square;
+            self.noise.shifted(square, settings);
+        } else {
+            let age = f64::from(self.age_s).max(f64::from(self.step_ns) * NANOSECOND);
+            p.0[V][V] += square / (age * age);
+            self.noise.forget();
+        }
         p
     }
 
     /// Goes on to the end of an interval.
     #[inline]
-    fn end(&mut self, interval: Interval, settings: &Settings) {
+    fn end(&mut self, interval: &Interval, settings: &Settings) {
         if self.accepted > 0 {
-            let added = self.added_to(interval.end_ns, &interval);
-            self.added = added;
-            let white = settings.acceleration_std * settings.acceleration_std * (f64::from(self.step_ns) / SECOND);
-            if interval.walks.density > white {
-                self.anchor(interval.end_ns, added, &interval.walks);
-            }
+            self.added = self.added_to(interval.end_ns, interval);
         }
-        self.slope = interval.motion.slope;
-        self.input += interval.motion.slope * ((interval.end_ns - self.at_ns) as f64 / SECOND);
+        self.slope = interval.motion.slope as f32;
+        self.input += interval.motion.slope * ((interval.end_ns - self.at_ns) as f64 * NANOSECOND);
         self.at_ns = interval.end_ns;
+        if self.accepted > 0 && interval.is_gap {
+            self.anchor(interval.density, settings);
+        }
     }
 
     /// The row at the last sample.
@@ -378,7 +436,7 @@ impl Filter {
         }
         let span = self.span(self.at_ns, self.added);
         let age = f64::from(self.age_s) + span.t;
-        let interval = f64::from(self.interval_ns) / SECOND;
+        let interval = f64::from(self.interval_ms) * 1e-3;
         let lost_s = settings.lost_s.max(LOST_INTERVALS * interval);
         let status = if age <= settings.coasting_s.max(COASTING_INTERVALS * interval) {
             Status::Tracking
@@ -399,13 +457,10 @@ impl Filter {
         if self.accepted < FIRST_MEASUREMENTS {
             return None;
         }
-        let walks = settings.walks(
-            settings.acceleration_std * settings.acceleration_std * (f64::from(self.step_ns) / SECOND),
-            self.noise.slow_m2(),
-        );
+        let density = self.density(f64::from(self.step_ns) * NANOSECOND, settings);
         let gained = 1.0 + f64::from(self.aside[1]);
-        let ahead = lead_of(f64::from(self.step_ns) / SECOND) * self.slope;
-        let (variance, velocity_variance) = self.covariance.row(&span, &walks);
+        let ahead = lead_of(f64::from(self.step_ns) * NANOSECOND) * f64::from(self.slope);
+        let (variance, velocity_variance) = self.covariance.row(&span, density, settings.bias_walk);
         Some(Row {
             time_ns: self.at_ns,
             displacement: self.mean[X] + span.t * self.mean[V] + gained * span.displacement,

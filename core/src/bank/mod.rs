@@ -21,6 +21,12 @@ pub const MAX_WAITING: usize = 4096;
 /// An acceleration (m/s²) or displacement (m) beyond is none.
 const MAX_VALUE: [f64; 2] = [1e4, 1e8];
 
+/// Stamps (ns) and steps (ns) beyond are none.
+const MAX_STAMP_NS: u64 = 1 << 62;
+const MAX_STEP_NS: i64 = 1 << 47;
+/// No more than this many events wait.
+const MAX_EVENTS: usize = 1 << 16;
+
 /// Which sensor of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sensor {
@@ -120,7 +126,9 @@ impl Bank {
             Values::Single(values) => point.put(sensor, block, values.iter().map(|&one| f64::from(one))),
             Values::Double(values) => point.put(sensor, block, values.iter().copied()),
         };
-        if let Some(code) = code {
+        if let Some(code) = code
+            && self.events.len() < MAX_EVENTS
+        {
             self.events.push((block.point, Event { time_ns: block.t0_ns, code }));
         }
     }
@@ -128,10 +136,12 @@ impl Bank {
     /// The rows that are complete when it is `until_ns`.
     pub fn rows(&mut self, until_ns: i64) -> Rows {
         let mut rows = Rows::default();
+        rows.reserve(self.points.iter().map(|one| one.samples.len()).sum());
         let mut happened = Vec::new();
         for (number, point) in (0..).zip(&mut self.points) {
             point.run(number, until_ns, &self.settings, &mut rows, &mut happened);
-            self.events.extend(happened.drain(..).map(|one| (number, one)));
+            let room = MAX_EVENTS.saturating_sub(self.events.len());
+            self.events.extend(happened.drain(..).take(room).map(|one| (number, one)));
         }
         rows
     }
@@ -150,11 +160,15 @@ impl Point {
             Sensor::Displacement => (&mut self.measurements, self.filter.stamped_ns(), MAX_VALUE[1]),
         };
         let mut wrong = None;
+        if block.dt_ns > MAX_STEP_NS {
+            return wrong;
+        }
         let mut time_ns = block.t0_ns;
         for value in values {
             if after_ns.is_some_and(|after| time_ns <= after) {
                 wrong = Some(Code::Late);
             } else if value.abs() <= most
+                && time_ns.unsigned_abs() < MAX_STAMP_NS
                 && !queue.put(Reading { time_ns, step_ns: block.dt_ns, value }, MAX_WAITING)
                 && queue.is_full(MAX_WAITING)
             {

@@ -37,6 +37,16 @@ impl Queue {
         is_new
     }
 
+    /// How many wait.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Whether none waits.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// Whether `most` wait.
     pub fn is_full(&self, most: usize) -> bool {
         self.0.len() >= most

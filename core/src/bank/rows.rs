@@ -42,16 +42,22 @@ pub struct Rows {
 }
 
 impl Rows {
+    /// Takes memory for this many rows.
+    pub fn reserve(&mut self, rows: usize) {
+        self.displacement.reserve(rows);
+        self.std.reserve(rows);
+        self.velocity.reserve(rows);
+    }
+
     /// Adds a row of a point; step_ns: from one sample to the next, where it is the only row of a run.
     #[inline]
     pub fn add(&mut self, point: u32, row: &Row, step_ns: i64, rounded: bool) {
         self.place(point, row, step_ns);
         let std = row.variance.sqrt();
         if rounded {
-            let std = round_up(std);
-            self.displacement.push(round_to(row.displacement, std));
-            self.std.push(std);
-            self.velocity.push(round_to(row.velocity, row.velocity_variance.sqrt()));
+            self.displacement.push(round_to(row.displacement, row.variance));
+            self.std.push(round_up(std));
+            self.velocity.push(round_to(row.velocity, row.velocity_variance));
         } else {
             self.displacement.push(row.displacement);
             self.std.push(std);
@@ -67,11 +73,11 @@ impl Rows {
             && self.status[last] == status
         {
             let count = self.count[last];
-            let step = (row.time_ns - self.t0_ns[last]) / i64::from(count);
-            if (count == 1 && step <= step_ns + step_ns / 2)
-                || self.t0_ns[last] + i64::from(count) * self.dt_ns[last] == row.time_ns
-            {
-                self.dt_ns[last] = step;
+            let after = row.time_ns - self.t0_ns[last];
+            if count == 1 && after <= step_ns + step_ns / 2 {
+                self.dt_ns[last] = after;
+            }
+            if after == i64::from(count) * self.dt_ns[last] {
                 self.count[last] = count + 1;
                 return;
             }

@@ -26,6 +26,8 @@ pub struct Settings {
     pub coasting_s: f64,
     /// Rows are lost when the last measurement is older than this, s.
     pub lost_s: f64,
+    /// Whether the displacement sensor is as stated: no measurement is an outlier, and its noise is not followed.
+    pub as_stated: bool,
     /// Whether rows are rounded.
     pub rounded: bool,
 }
@@ -36,6 +38,12 @@ const DELAY_WALK: f64 = 1e-9;
 const GAIN_WALK: f64 = 1e-11;
 
 impl Settings {
+    /// Stated variance of the displacement's noise, m².
+    #[inline]
+    pub fn stated_m2(&self) -> f64 {
+        self.displacement_std * self.displacement_std
+    }
+
     /// What is added to the states' variances over time; density: of the acceleration's noise, (m/s²)²/Hz.
     #[inline]
     pub fn walks(&self, density: f64, slow_m2: f64) -> Walks {

@@ -35,6 +35,7 @@ struct PyBankSettings {
     wait_s: f64,
     coasting_s: f64,
     lost_s: f64,
+    as_stated: bool,
     rounded: bool,
 }
 
@@ -51,6 +52,7 @@ impl PyBankSettings {
             wait_s: self.wait_s,
             coasting_s: self.coasting_s,
             lost_s: self.lost_s,
+            as_stated: self.as_stated,
             rounded: self.rounded,
         }
     }

@@ -1,7 +1,9 @@
-"""The filters of the points of a group: acceleration and a slow displacement of each to rows, in the core (`core/src/bank`).
+"""The filters of a group's points, from acceleration and a slow displacement to rows, in the core (`core/src/bank`).
 
 Each point has six states: displacement, velocity, bias of the acceleration, slow error of the displacement sensor,
-delay of its stamps, relative error of the accelerometer's gain. Nothing is calibrated before.
+delay of its stamps, relative error of the accelerometer's gain. Nothing is calibrated before. A permanent shift of the
+sensor's zero is reported, covered by the band at first and taken for the new zero within some minutes. A slow error
+that lasts longer than `slow_time_s` shows in part only: the accelerometer does not tell it from a motion.
 """
 
 from dataclasses import dataclass
@@ -60,19 +62,21 @@ class BankSettings:
     stamps, 0: they are exact. gain_std: of the accelerometer's relative gain error, 0: it is exact. bias_walk: density
     of the bias's random walk, (m/s²)²/s. wait_s: a sensor that is behind is waited for so long. coasting_s, lost_s:
     age of the last accepted measurement from which on rows are coasting and lost; at least 5 and 10 of its intervals.
+    as_stated: the displacement sensor is as stated, so that no measurement is an outlier and its noise is not followed.
     rounded: rows are rounded to what their standard deviation leaves of them.
     """
 
     acceleration_std_m_s2: float
     displacement_std_m: float
     slow_std_m: float | None = None
-    slow_time_s: float = 10.0
+    slow_time_s: float = 15.0
     delay_std_s: float = 0.15
     gain_std: float = 0.03
     bias_walk: float = 1e-8
     wait_s: float = 2.0
     coasting_s: float = 0.5
     lost_s: float = 10.0
+    as_stated: bool = False
     rounded: bool = True
 
     def __post_init__(self) -> None:
@@ -134,9 +138,11 @@ class Bank:
         self._bank.push(displacement, blocks.point, blocks.t0_ns, blocks.dt_ns, blocks.count, blocks.values)
 
     def rows(self, until_ns: int) -> GroupRows:
-        """Give the rows that are complete when it is `until_ns`: up to where both sensors reach, and without one that is
-        more than `wait_s` behind. Displacements and velocities are multiples of a power of two that is at most 1/256 of
-        their standard deviation, which itself is rounded up to seven bits.
+        """Give the rows that are complete when it is `until_ns`: up to where both sensors reach, and on without one
+        that is more than `wait_s` behind.
+
+        Displacements and velocities are multiples of a power of two that is at most 1/256 of their standard deviation;
+        that of the displacement is rounded up to seven bits.
         """
         return GroupRows(*self._bank.rows(until_ns))
 

@@ -1,0 +1,130 @@
+"""The band of a bank's rows where the sensors are not what was stated: nothing is calibrated before."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from tests.engine.bank_bridge import RATE_HZ, Sensors, measured, motion, run
+
+from midspan.engine.bank import BankCode, BankSettings
+
+SETTINGS = BankSettings(0.005, 0.0015)
+SECONDS = 240
+# A slow error shows in what comes together over a minute.
+LEARNT_S = 60
+SEEDS = tuple(range(4))
+
+
+@cache
+def bridge(seed, rms_m=0.004):
+    """The motion of a seed."""
+    return motion(SECONDS, seed, rms_m)
+
+
+def outliers(record, rng):
+    """One in twenty measurements is off by up to 100 mm."""
+    which = rng.random(len(record.displacement_m)) < 0.05
+    record.displacement_m[which] += rng.uniform(-0.1, 0.1, which.sum())
+
+
+def spikes(record, rng):
+    """One in five hundred samples of the acceleration is off by up to 50 m/s²."""
+    which = rng.random(len(record.acceleration)) < 0.002
+    record.acceleration[which] += rng.uniform(-50.0, 50.0, which.sum())
+
+
+def missing(record, rng):
+    """Three in ten measurements and one in a hundred samples are missing."""
+    record.displacement_m[rng.random(len(record.displacement_m)) < 0.3] = np.nan
+    record.acceleration[rng.random(len(record.acceleration)) < 0.01] = np.nan
+
+
+def frozen(record, _):
+    """The displacement sensor repeats one value for 40 s."""
+    record.displacement_m[1000:1400] = record.displacement_m[1000]
+
+
+def shifted(record, _):
+    """The displacement sensor's zero shifts by 8 mm for good."""
+    record.displacement_m[1500:] += 0.008
+
+
+# Sensors, further damage, least share of the rows inside the band, greatest error relative to that of clean sensors
+# (rows of the last measurement older than 0.5 s left out).
+CASES = {
+    "as stated": (Sensors(), None, 0.95, 1.1),
+    "displacement noise threefold": (Sensors(displacement_noise=3.0), None, 0.93, 3.0),
+    "acceleration noise threefold": (Sensors(acceleration_noise=3.0), None, 0.93, 3.0),
+    "slow error as large as the noise": (Sensors(slow_std_m=0.0015), None, 0.93, 4.0),
+    "slow error twice the noise": (Sensors(slow_std_m=0.003), None, 0.90, 8.0),
+    "gain 5 % too large": (Sensors(gain=1.05), None, 0.93, 1.2),
+    "stamps 0.3 s late": (Sensors(delay_s=0.3), None, 0.93, 2.0),
+    "stamps 0.3 s early": (Sensors(delay_s=-0.3), None, 0.93, 2.0),
+    "outliers": (Sensors(), outliers, 0.93, 2.0),
+    "spikes": (Sensors(), spikes, 0.93, 20.0),
+    "missing": (Sensors(), missing, 0.93, 1.5),
+    "frozen": (Sensors(), frozen, 0.90, 3.0),
+    "1 Hz": (Sensors(displacement_hz=1.0), None, 0.93, 4.0),
+}
+
+
+def score(name, seeds, from_s=LEARNT_S):
+    """Share inside ±1.96 σ of all rows, root mean square error and deviation (mm) of those that are not coasting."""
+    sensors, damage = CASES[name][:2]
+    inside, square, variance = [], [], []
+    for seed in seeds:
+        record = measured(*bridge(seed), seed, sensors)
+        if damage:
+            damage(record, np.random.default_rng(seed))
+        rows, _ = run(record, SETTINGS)
+        used = rows.index > from_s * RATE_HZ
+        error = rows.displacement_m[used] - record.truth_m[rows.index[used]]
+        inside.append(np.mean(np.abs(error) < 1.96 * rows.std_m[used]))
+        tracking = rows.status[used] == 0
+        square.append(np.mean(error[tracking] ** 2))
+        variance.append(np.mean(rows.std_m[used][tracking] ** 2))
+    return np.mean(inside), 1e3 * np.sqrt(np.mean(square)), 1e3 * np.sqrt(np.mean(variance))
+
+
+@cache
+def clean_rmse_mm():
+    """Error with clean sensors."""
+    return score("as stated", SEEDS)[1]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_truth_lies_in_the_band(name):
+    least, most = CASES[name][2:]
+    inside, rmse_mm, _ = score(name, SEEDS)
+    assert inside > least
+    assert rmse_mm < most * clean_rmse_mm()
+
+
+def test_with_clean_sensors_and_no_slow_error_the_error_is_that_of_the_bound():
+    record = measured(*bridge(0), 0)
+    exact = BankSettings(0.005, 0.0015, slow_std_m=0.0, delay_std_s=0.0, gain_std=0.0, as_stated=True)
+    bound = np.sqrt(np.mean(run(record, exact)[0].std_m ** 2))
+    rows, _ = run(record, SETTINGS)
+    error = (rows.displacement_m - record.truth_m[rows.index])[rows.index > LEARNT_S * RATE_HZ]
+    assert np.sqrt(np.mean(error**2)) < 1.15 * bound
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_shifted_zero_is_reported_and_the_band_covers_both_zeros_for_half_a_minute(seed):
+    record = measured(*bridge(seed), seed)
+    shifted(record, None)
+    rows, events = run(record, SETTINGS)
+    assert BankCode.SHIFTED in {one.code for one in events}
+    just = (rows.index > 150.5 * RATE_HZ) & (rows.index < 180 * RATE_HZ)
+    error = rows.displacement_m[just] - record.truth_m[rows.index[just]]
+    assert np.mean(np.abs(error) < 1.96 * rows.std_m[just]) > 0.9
+    assert np.mean(np.abs(error - 0.008) < 1.96 * rows.std_m[just]) > 0.9
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_frozen_sensor_is_reported_and_its_rows_coast(seed):
+    record = measured(*bridge(seed), seed)
+    frozen(record, None)
+    rows, events = run(record, SETTINGS)
+    assert [one.code for one in events][:3] == [BankCode.FROZEN, BankCode.LOST, BankCode.TRACKING]
+    assert not np.any(rows.status[(rows.index > 102 * RATE_HZ) & (rows.index < 139 * RATE_HZ)] == 0)
