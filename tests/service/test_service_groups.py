@@ -3,6 +3,7 @@
 import asyncio
 import struct
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from midspan.service.live_socket import ROW
 from midspan.settings.group import GroupPlan, GroupSettings
 from midspan.sources.live.blocks import HEAD, RESULT, parse
 from midspan.store.chunk import join
-from midspan.store.store import open_store
+from midspan.store.store import Batch, open_store
 
 POINTS, BEGIN_S = 12, 1_790_000_000
 SETTINGS = BankSettings(acceleration_std_m_s2=0.005, displacement_std_m=1.5e-3)
@@ -253,7 +254,7 @@ def test_a_viewer_gets_the_rows_of_its_point():
 def test_rows_and_state_are_kept_together_and_come_back(tmp_path):
     kept = []
     with closing(open_store(tmp_path / "store", points=["north"])) as store:
-        groups = Groups(kept.append)
+        groups = Groups(kept.append, print)
         groups.begin([plan()], store)
         for second in range(5):
             for topic, payload in messages(second):
@@ -266,7 +267,7 @@ def test_rows_and_state_are_kept_together_and_come_back(tmp_path):
     # The last second was not kept: it comes again.
     with closing(open_store(tmp_path / "store", points=["north"])) as store:
         again = []
-        groups = Groups(again.append)
+        groups = Groups(again.append, print)
         groups.begin([plan()], store)
         for second in (3, 4):
             for topic, payload in messages(second):
@@ -284,7 +285,7 @@ def test_rows_and_state_are_kept_together_and_come_back(tmp_path):
 
 
 def test_the_page_s_server_asks_for_all_points_at_once():
-    groups = Groups(lambda _: None)
+    groups = Groups(lambda _: None, print)
     groups._groups = {"north": Group.begun(plan())}
     head, body = asyncio.run(groups.table({"group": "north"}))
     newest = np.frombuffer(body, dtype=ROW, count=POINTS)
@@ -294,3 +295,20 @@ def test_the_page_s_server_asks_for_all_points_at_once():
     (state,) = groups.state()
     assert state["reasons"] == {"starting": POINTS}
     assert [one["point"] for one in state["points"]] == [f"north-{k}" for k in range(POINTS)]
+
+
+def test_a_state_that_cannot_be_used_begins_anew(tmp_path):
+    said, kept = [], []
+    with closing(open_store(tmp_path / "store", points=["north"])) as store:
+        groups = Groups(kept.append, said.append)
+        groups.begin([plan()], store)
+        for topic, payload in messages(0):
+            inbox, place = groups.inboxes[topic]
+            inbox.put(place, payload, (1, 1))
+        groups.second((BEGIN_S + 1) * NANOSECONDS, None)
+        (chunk,) = kept[-1].groups
+        store.write(Batch(groups=[replace(chunk, checkpoint=(chunk.checkpoint[0], b"of another version"))]))
+        again = Groups(kept.append, said.append)
+        again.begin([plan()], store)
+    assert again.points == POINTS
+    assert "north: the stored state cannot be used" in said[0]

@@ -1,5 +1,6 @@
 """The groups of a running site: once a second what came is filtered, kept, published, and then acknowledged."""
 
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from midspan.engine.point import PointStatus
-from midspan.errors import MidspanError
+from midspan.errors import DataError, MidspanError
 from midspan.records import Event, GroupRows
 from midspan.service.group import Group, GroupSecond, Inbox, numbered
 from midspan.service.group_results import WHY, joined_runs, result_blocks, state_payload
@@ -40,10 +41,10 @@ class Given:
 
 
 class Groups:
-    """put: takes what is to be kept. `second` is called in a thread, one after another; all else in the loop."""
+    """put: takes what is to be kept; say: a line for a person. `begin` and `second` are called in threads."""
 
-    def __init__(self, put: Callable[[Batch], None]) -> None:
-        self._put = put
+    def __init__(self, put: Callable[[Batch], None], say: Callable[[str], None]) -> None:
+        self._put, self._say, self._in_use = put, say, threading.Lock()
         self._groups: dict[str, Group] = {}
         self._sequences: dict[str, Any] = {}
         self._receipts: list[tuple[int, int]] = []
@@ -51,22 +52,31 @@ class Groups:
 
     def begin(self, plans: Sequence[GroupPlan], store: Store) -> None:
         """Go on with these groups: those that run already as they are, others from what the store has of them."""
-        before = self._groups
-        self._groups = {plan.name: self._begun(plan, before.get(plan.name), store) for plan in plans}
-        self._sequences = {
-            name: self._sequences[name] if name in before and before[name] is one else _counts(one)
-            for name, one in self._groups.items()
-        }
+        with self._in_use:
+            before = self._groups
+            self._groups = {plan.name: self._begun(plan, before.get(plan.name), store) for plan in plans}
+            self._sequences = {
+                name: self._sequences[name] if name in before and before[name] is one else _counts(one)
+                for name, one in self._groups.items()
+            }
 
     def _begun(self, plan: GroupPlan, before: Group | None, store: Store) -> Group:
         if before is not None and before.plan == plan:
             return before
-        kept = store.group_checkpoint(plan.key)
-        fresh = Group.begun(plan, None if kept is None else kept[1])
+        try:
+            kept = store.group_checkpoint(plan.key)
+            fresh = Group.begun(plan, None if kept is None else kept[1])
+        except (DataError, ValueError) as error:
+            self._say(f"{plan.name}: the stored state cannot be used ({error}); its filters begin anew.")
+            fresh = Group.begun(plan)
         if before is not None and before.topics.keys() == fresh.topics.keys():
             # What came and was not read yet is not lost.
             fresh.inboxes = before.inboxes
         return fresh
+
+    def has_point(self, name: str) -> bool:
+        """Whether a point of this name is in a group."""
+        return any(one.plan.number(name) is not None for one in self._groups.values())
 
     @property
     def points(self) -> int:
@@ -80,6 +90,10 @@ class Groups:
 
     def second(self, now_ns: int, broker: Broker | None) -> Given:
         """Filter what came, hand it over to be kept and publish it."""
+        with self._in_use:
+            return self._second(now_ns, broker)
+
+    def _second(self, now_ns: int, broker: Broker | None) -> Given:
         given = Given()
         for one in list(self._groups.values()):
             second = one.second(now_ns)
@@ -113,7 +127,7 @@ class Groups:
     def watch(self, head: Tree) -> Tree:
         """Send rows of the points that the page's server names for a while."""
         now_s, named = time.time(), [str(one) for one in head.get("points", [])]
-        known = [name for name in named if any(one.plan.number(name) is not None for one in self._groups.values())]
+        known = [name for name in named if self.has_point(name)]
         fresh = {name: until_s for name, until_s in self._watched.items() if until_s > now_s}
         self._watched = dict(list({**fresh, **dict.fromkeys(known, now_s + WATCHED_S)}.items())[-MAX_WATCHED:])
         return {"points": known}

@@ -67,7 +67,7 @@ class Service:
     ) -> None:
         self.site, self._say, self._note, self._socket = site, say, note, socket
         self._keeper = Keeper(site.store, site.names)
-        self._groups = Groups(self._keeper.put)
+        self._groups = Groups(self._keeper.put, say)
         self._points = drafted(site, [plan.name for plan in site.points])
         self.sizes_px = partial(sizes_of, self._points)
         self._intake = Intake(self._points, site.file.parent, self._begin_job, self._event)
@@ -76,7 +76,7 @@ class Service:
         commands = {**self._alarms.commands, "watch": self._groups.watch}
         self._commands = Commands(self._points, paused, self._event, self._in_thread, commands, self._groups.table)
         heard = (self._points, self._event, self._publish_event, self._begin, self._in_thread)
-        self._topic_commands = TopicCommands(*heard)
+        self._topic_commands = TopicCommands(*heard, self._groups.has_point)
         self._pause(self._points)
         self._broker: Broker | None = None
         self._stop = asyncio.Event()

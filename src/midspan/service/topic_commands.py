@@ -17,7 +17,8 @@ class TopicCommands:
     """Each is answered at once with an event; those for no point of the site on the topic of the point that is meant.
 
     points: of the site; tell: takes a point, the kind of an event and its text; publish: takes a name and an event;
-    begin: begins work of the loop; in_thread: runs a function with a store of its own.
+    begin: begins work of the loop; in_thread: runs a function with a store of its own; is_grouped: whether a name is
+    that of a point of a group.
     """
 
     def __init__(
@@ -27,9 +28,10 @@ class TopicCommands:
         publish: Callable[[str, Event], None],
         begin: Callable[[Coroutine[Any, Any, None]], object],
         in_thread: Callable[..., Awaitable[Any]],
+        is_grouped: Callable[[str], bool],
     ) -> None:
         self._points, self._tell, self._publish = points, tell, publish
-        self._begin, self._in_thread = begin, in_thread
+        self._begin, self._in_thread, self._is_grouped = begin, in_thread, is_grouped
 
     def came(self, topic: str, payload: bytes) -> None:
         """A message that brings no block: the broker's session may bring topics of settings before these, too."""
@@ -40,7 +42,10 @@ class TopicCommands:
     def _run(self, name: str, command: str, wanted: str) -> None:
         """A command; of `accept` without a number the newest calibration that is offered is meant."""
         one = next((point for point in self._points if point.name == name), None)
-        if one is None:
+        if one is None and self._is_grouped(name):
+            text = f"{name}: is a point of a group, which takes no commands."
+            self._publish(name, Event(time.time_ns(), "command", text))
+        elif one is None:
             listed = ", ".join(point.name for point in self._points)
             text = f"{name}: is not a point of this site. Points: {listed}."
             self._publish(name, Event(time.time_ns(), "command", text))
