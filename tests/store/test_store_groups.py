@@ -17,6 +17,7 @@ from midspan.errors import DataError
 from midspan.records import NANOSECONDS, GroupRows
 from midspan.service.stored_recording import stored_table
 from midspan.store.archive import archive
+from midspan.store.chunk import Chunk
 from midspan.store.database import StoreFault
 from midspan.store.days import BLOCK_S, DAY_NS
 from midspan.store.group_rows import GroupChunk, in_slots, newer, packed, part_of_pack, unpacked
@@ -257,6 +258,46 @@ def test_after_a_kill_rows_are_whole_and_the_state_is_not_newer(tmp_path, after)
         assert_rows(store, point, 0, (number + 3) * RATE_HZ)
     store.close()
     assert check(where).faults == ()
+
+
+def left_by_a_kill(where, batch):
+    """A store whose writer ended without a word."""
+    store = open_store(where, points=["north", "deck"])
+    store.write(batch)
+    os.close(store._pieces._file)
+    store._locks.close()
+
+
+def test_a_log_goes_on_where_its_points_are_those_of_the_next_process(tmp_path):
+    where = tmp_path / "store"
+    left_by_a_kill(where, Batch(groups=[second(0), second(1)]))
+    (log,) = (where / "log").glob("*.log")
+    with log.open("ab") as file:
+        # Of a power cut.
+        file.write(b"half a record")
+    store = open_store(where, points=["north"])
+    store.write(Batch(groups=[second(1), second(2)]))
+    assert list((where / "log").glob("*.log")) == [log]
+    assert not list((where / "days").glob("*"))
+    assert_rows(store, 17, 0, 3 * RATE_HZ)
+    store.flush()
+    assert_rows(store, 17, 0, 3 * RATE_HZ)
+    store.close()
+    assert check(str(where)).faults == ()
+
+
+def test_a_log_with_points_of_others_becomes_blocks_at_once(tmp_path):
+    where = tmp_path / "store"
+    left_by_a_kill(where, Batch(groups=[second(0)]))
+    other = open_store(where, points=["deck"])
+    other.write(Batch([Chunk("deck", "rows", BEGIN_NS + np.arange(3), {"displacement_m": np.zeros(3)})]))
+    assert len(list((where / "days").glob("*.sqlite"))) == 1
+    store = open_store(where, points=["north"])
+    store.write(Batch(groups=[second(1)]))
+    store.flush()
+    other.close()
+    assert_rows(store, 17, 0, 2 * RATE_HZ)
+    store.close()
 
 
 def test_a_kill_while_blocks_are_made_doubles_nothing(tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ import secrets
 import struct
 import threading
 import zlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -159,6 +159,23 @@ class FilePieces:
         """What this process has added."""
         return [] if self._path is None else list(read(self._path))
 
+    def adopt(self, points: Collection[str]) -> None:
+        """Go on with the log of a process that has ended, where there is one of these points and groups alone, which
+        nobody else writes: to make blocks of it at once would take seconds in which nothing is kept. Raises StoreFault.
+        """
+        for path in [] if self._file is not None else sorted(self.folder.glob("*.log")):
+            with sqlite_faults(path):
+                file = os.open(path, os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0))
+                before = Followed(path)
+                if locked(file) and path.exists() and (pieces := before.look()) and _writers(pieces) <= set(points):
+                    # Of a power cut a part of a record may be left.
+                    os.ftruncate(file, size := whole_bytes(path))
+                    self._file, self._path, self._size = file, path, size
+                    self._layouts = {_layout_json(*one): number for number, one in enumerate(before.layouts)}
+                    self._with_groups = any(stream == GROUP for _, stream in pieces)
+                    return
+                os.close(file)
+
     def abandoned(self) -> Iterator[tuple[list[Piece], Path]]:
         """The pieces of logs whose process has ended; each log is removed once it was dealt with."""
         for path in sorted(self.folder.glob("*.log")):
@@ -212,12 +229,16 @@ def record_of(data: bytes) -> bytes:
 
 def layout_bytes(chunk: Chunk) -> bytes:
     """What a log says once of all pieces of a stream."""
-    return json.dumps([chunk.point, chunk.stream, chunk.shown, layout_of(chunk)], separators=(",", ":")).encode()
+    return _layout_json(chunk.point, chunk.stream, chunk.shown, layout_of(chunk))
 
 
 def pack_bytes(piece: Piece) -> bytes:
     """The same of the packs of a group, which say of themselves what columns they have."""
-    return json.dumps([piece.point, piece.stream, piece.shown, []], separators=(",", ":")).encode()
+    return _layout_json(piece.point, piece.stream, piece.shown, ())
+
+
+def _layout_json(point: str, stream: str, shown: str, layout: Layout) -> bytes:
+    return json.dumps([point, stream, shown, layout], separators=(",", ":")).encode()
 
 
 def whole_bytes(path: Path) -> int:
@@ -241,6 +262,15 @@ def _records(data: bytes) -> Iterator[tuple[bytes, int]]:
         at += RECORD.size + length
 
 
+def _writers(pieces: Mapping[tuple[str, str], Sequence[Piece]]) -> set[str]:
+    """The points and the keys of groups that pieces are of."""
+    return {
+        f"{one.point} {one.shown}".strip() if stream == GROUP else point
+        for (point, stream), own in pieces.items()
+        for one in own
+    }
+
+
 def read(path: Path) -> Iterator[Piece]:
     """The pieces of a log up to the first record that is not whole: what a power cut left of the last ones."""
     for own in Followed(path).look().values():
@@ -257,7 +287,7 @@ class Followed:
         self._begin()
 
     def _begin(self) -> None:
-        self._layouts: list[tuple[str, str, str, Layout]] = []
+        self.layouts: list[tuple[str, str, str, Layout]] = []
         self._streams: dict[tuple[str, str], list[Piece]] = {}
         # Where the last whole record began, what stands at its head, and where it ended.
         self._last, self._head, self._end = 0, b"", 0
@@ -281,7 +311,7 @@ class Followed:
         for record, whole in _records(data):
             head = RECORD.pack(len(record), zlib.crc32(record), whole)
             self._last, self._head, self._end = self._end, head, self._end + RECORD.size + len(record)
-            for one in _pieces(codec.decompress(record, decompressed_size=whole, asbytes=True), self._layouts):
+            for one in _pieces(codec.decompress(record, decompressed_size=whole, asbytes=True), self.layouts):
                 self._streams.setdefault((one.point, one.stream), []).append(one)
         return {stream: list(own) for stream, own in self._streams.items()}
 
@@ -350,6 +380,9 @@ class TablePieces:
 
     def sync(self) -> None:
         """What was added is on the server's disk."""
+
+    def adopt(self, points: Collection[str]) -> None:
+        """What an ended process left is its point's next writer's own."""
 
     def of(self, point: str, stream: str) -> list[Piece]:
         """A stream's pieces, in the order of time."""

@@ -181,6 +181,7 @@ class Store:
         """Append to the log; what is long enough there becomes blocks first."""
         self._points.update(one.point for one in new)
         if not self._took_over:
+            self._pieces.adopt(self._points)
             self.take_over()
         begins = [((one.point, one.stream), int(one.time_ns[0])) for one in new]
         begins += [((one.point, one.stream), one.t0_ns) for one in packs]
