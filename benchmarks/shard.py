@@ -72,6 +72,11 @@ def own_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def resident_mb(pid: int) -> float:
+    """Memory of a process, MB."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
 def spent(pids: dict[str, int], seconds: float) -> dict[str, float]:
     """Processor time (ms) a second of processes, and of the service with what it started."""
 
@@ -135,6 +140,7 @@ def run(points: int, shared: bool, seconds: int, *, serve: bool) -> int:
             time.sleep(SETTLED_S)
             pids = {"service": service.pid, "bare": bare.pid, "sender": sender.pid, "broker": broker.pid}
             used = spent(pids, seconds)
+            used["memory_mb"] = resident_mb(service.pid)
             os.kill(service.pid, signal.SIGKILL)
             service.wait()
             time.sleep(0.5)
@@ -154,6 +160,7 @@ def run(points: int, shared: bool, seconds: int, *, serve: bool) -> int:
             watcher.loop_stop()
             broker.stop()
         found = looked_at(Path(folder) / "store", points)
+        found["bytes"] = sum(one.stat().st_size for one in (Path(folder) / "store").rglob("*") if one.is_file())
     return _verdict(points, shared, used, found, back_s)
 
 
@@ -164,6 +171,7 @@ def _verdict(points: int, shared: bool, used: dict[str, float], found: dict[str,
     )]  # fmt: skip
     show(["processor time a second of", "ms"], rows)
     above_ms = used["all"] - used["bare"]
+    print(f"memory of its process: {used['memory_mb']:.0f} MB; store: {found['bytes'] / found['rows']:.2f} bytes a row")
     print(
         f"{points} points, {'one message' if shared else 'two messages a point'}; {found['rows']} rows, rms error "
         f"{found['rms_mm']:.3f} mm (worst point {found['worst_mm']:.3f}), {100 * found['inside']:.1f} % inside 1.96 σ"
