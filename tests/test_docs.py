@@ -12,6 +12,7 @@ from midspan.cli.main import COMMANDS
 from midspan.fusion.methods import METHODS
 from midspan.records import Status
 from midspan.settings.alarms import AlarmSettings
+from midspan.settings.group import GroupSettings
 from midspan.settings.keys import section_in
 from midspan.settings.load import validate
 from midspan.settings.recording import RecordingSettings
@@ -25,7 +26,7 @@ PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglo
 TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}
 REFERENCE = "\n".join(TEXTS[ROOT / "docs" / f"{name}.md"] for name in ("configuration", "reference-keys"))
 WRITTEN_PAGES = runpy.run_path(str(ROOT / "tools" / "reference.py"))["PAGES"]
-SITE_MODELS = (SiteFile, PointSettings, AlarmSettings)
+SITE_MODELS = (SiteFile, PointSettings, AlarmSettings, GroupSettings)
 ALL = "\n".join(TEXTS.values())
 
 SNIPPET = re.compile(r"<!-- runnable(?: (continued)| with (\w+))? -->\n```python\n(.*?)```", re.DOTALL)
@@ -140,7 +141,9 @@ def test_every_example_of_a_recording_or_a_site_is_valid(tmp_path, monkeypatch):
     for name in ("MQTT_PASSWORD", "HOOK_SECRET"):
         monkeypatch.setenv(name, "secret")
     for page, code in blocks:
-        if "[[point]]" in code:
+        if code.startswith("[[group]]"):
+            code = f'name = "river"\n[store]\npath = "store"\n[mqtt]\n{code}'
+        if "[[point]]" in code or "[[group]]" in code:
             (tmp_path / "SITE.toml").write_text(code)
             load_site(tmp_path / "SITE.toml")
             continue

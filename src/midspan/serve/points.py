@@ -145,7 +145,7 @@ OF_A_POINT = declared(401, 403, 404, 422)
 COMMANDED = declared(401, 403, 404, 409, 422)
 
 
-@routes.get("", response_model=list[PointState], dependencies=READ, responses=declared(401, 403))
+@routes.get("", response_model=list[PointState], dependencies=READ, responses=declared(401, 403, 422))
 async def points(
     serving: Shared,
     of_groups: Annotated[int | None, Query(ge=0)] = None,
