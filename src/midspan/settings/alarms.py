@@ -33,7 +33,7 @@ def _is_a_name(value: str) -> str:
 
 
 class AlarmSettings(Section):
-    """One alarm of a point: what it watches, the limit, and what has to hold before it fires and ends."""
+    """One alarm of a point: what it watches, its limit and its delays."""
 
     name: Annotated[str, AfterValidator(_is_a_name)] = Field(description="name of the alarm, unique within its point")
     on: Quantity = Field(
@@ -170,7 +170,7 @@ class NotifySettings(Section):
 
 
 class MaintenanceSettings(Section):
-    """A time without messages; alarms are evaluated and kept all the same."""
+    """A time without messages; alarms are evaluated and kept."""
 
     begin: Annotated[datetime, Form("time")] = Field(description="first instant, UTC without a zone")
     end: Annotated[datetime, Form("time")] = Field(description="end, UTC without a zone")

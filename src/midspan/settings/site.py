@@ -83,7 +83,7 @@ def _is_a_host(value: str) -> str:
 
 
 class StoreSettings(Section):
-    """Where rows are kept: a folder for SQLite files, or the address of a PostgreSQL database."""
+    """Where rows are kept: a folder of SQLite files, or a PostgreSQL database."""
 
     path: FileName | None = Field(None, description="folder for SQLite files")
     url: Annotated[SecretStr, Form("address")] | None = Field(
