@@ -25,11 +25,8 @@ KEYS = f"""# Keys of the settings' files
 {MADE}
 
 Keys not marked `required` may be omitted. A number outside its range is refused; `midspan help SECTION` also prints
-ranges that only catch typing errors, `midspan check-config FILE` the values in force.
-[Configuration](configuration.md) explains signs, clocks, and how sections work together.
-
-| file | sections |
-| --- | --- |"""
+ranges that only catch typing errors, `midspan check-config FILE` the values in force. σ is a standard deviation.
+[Configuration](configuration.md) explains signs, clocks, and how sections work together."""
 FILES = {
     "recording.toml": "Paths are relative to the file. [Several](configuration.md#several-sensors-of-a-kind) [camera], "
     "[infrared], [radar] and [displacement] are possible.",
@@ -53,29 +50,15 @@ def keys_page() -> str:
     # Single targets of a calibration are left to `midspan help`.
     stored = [one for one in calibration_sections() if not one.name.endswith(".targets")]
     files = dict(zip(FILES, (recording_sections(), site_sections(), stored), strict=True))
-    contents = [
-        f"| {file} | {', '.join(f'[{one.name}](#{anchor(_heading(file, one))})' for one in _named(sections))} |"
-        for file, sections in files.items()
-    ]
-    parts = ["\n".join([KEYS, *contents])]
+    parts = [KEYS]
     for file, sections in files.items():
         parts += [f"## {file}", FILES[file], *_tables(file, sections)]
     return "\n\n".join(parts) + "\n"
 
 
-def _named(sections: Sequence[KeySection]) -> list[KeySection]:
-    return [one for one in sections if one.name and one.keys]
-
-
 def _heading(file: str, section: KeySection) -> str:
     """Headings of two files differ, and so do their anchors."""
     return f"[{section.name}]" if file != "calibration.json" else f"{section.name} of {file}"
-
-
-def anchor(heading: str) -> str:
-    """The anchor that Markdown makes of a heading."""
-    plain = "".join(sign for sign in heading.lower() if sign.isalnum() or sign in " _-")
-    return plain.strip().replace(" ", "-")
 
 
 def _tables(file: str, sections: Sequence[KeySection]) -> list[str]:

@@ -63,7 +63,7 @@ def command(recording: str, file2: str | None, quiet: bool, as_json: bool, **opt
     """Estimate displacement in mm at the accelerometer's rate, with its standard deviation.
 
     RECORDING is a folder with recording.toml, a store, or an accelerometer file followed by FILE2: a video, or the
-    table of a displacement sensor. A phone's log (folder or zip of Sensor Logger or phyphox) may hold its video.
+    table of a displacement sensor. A phone's log may hold its video.
     """
     from midspan.settings.two_files import Choices, in_words_of_two_files
     from midspan.sources.accelerometer.phone import is_phone_log

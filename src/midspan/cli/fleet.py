@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def command(
     site: str, count: int | None, runner: str, for_s: float | None, status: bool, quiet: bool, as_json: bool
 ) -> int:
-    """Run a live site (SITE.toml or its folder) as shards: start them, watch them, start again what ends or hangs.
+    """Run a live site as shards: start and watch them, start again what ends or hangs.
 
     Each shard is a `midspan run --shard K/N`. With `--runner ray` they run on the cluster in RAY_ADDRESS.
     """

@@ -13,7 +13,7 @@ from midspan.cli.process import stop_by_signals
     "--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds to run. Default: until stopped."
 )
 @click.option("--serve/--no-serve", default=True, help="Serve page and REST interface on [service] listen.")
-@click.option("--shard", metavar="K/N", help="Run part K of N of the points alone, with a port and a store of its own.")
+@click.option("--shard", metavar="K/N", help="Run part K of N of the points, with its own port and store.")
 @common_options
 def command(site: str, for_s: float | None, serve: bool, shard: str | None, quiet: bool, as_json: bool) -> None:
     """Run a live site (SITE.toml or its folder): estimate from live sources; write to store, page and MQTT.

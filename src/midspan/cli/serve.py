@@ -23,7 +23,7 @@ from midspan.cli.process import stop_by_signals
 def command(
     store: str, listen: str, tls_cert: str | None, tls_key: str | None, for_s: float | None, quiet: bool, as_json: bool
 ) -> None:
-    """Serve the page and the REST interface of a store: stored rows, and live rows of a running `midspan run`.
+    """Serve page and REST interface of a store: stored rows, and live ones of a running `midspan run`.
 
     The first start makes the user `admin` and prints its password once (not with --quiet).
     """

@@ -17,10 +17,7 @@ _HEADER = "frequency_hz,density_mm2_hz"
 @click.option("-o", "--output", type=click.Path(), help="Write frequency and density as CSV.")
 @common_options
 def command(result: str, quiet: bool, as_json: bool, **options: str | None) -> None:
-    """Natural frequencies of a displacement, with damping and standard deviations.
-
-    Each significant peak is fitted by Whittle's likelihood as an oscillator driven by white noise.
-    """
+    """Natural frequencies of a displacement, with damping and standard deviations."""
     from midspan.evaluate.result_file import read_result
     from midspan.evaluate.spectrum import spectrum
     from midspan.writing import write_whole

@@ -33,7 +33,7 @@ def _is_a_name(value: str) -> str:
 
 
 class AlarmSettings(Section):
-    """One alarm of a point: what it watches, the limit, and what has to hold before it fires and ends."""
+    """One alarm of a point: what it watches, its limit and its delays."""
 
     name: Annotated[str, AfterValidator(_is_a_name)] = Field(description="name of the alarm, unique within its point")
     on: Quantity = Field(
@@ -57,7 +57,7 @@ class AlarmSettings(Section):
         description="time above the limit before the alarm fires; silent: age of the source's newest data",
     )
     hysteresis_mm: Annotated[float, IsNumber, limited(0.0, 1e6, "mm")] = Field(
-        0.0, description="hysteresis: distance below the limit at which the alarm ends; more prevents chatter"
+        0.0, description="distance below the limit at which the alarm ends; more prevents chatter"
     )
     hysteresis_mm_s: Annotated[float, IsNumber, limited(0.0, 1e7, "mm/s")] = Field(
         0.0, description="hysteresis of velocity"
@@ -67,7 +67,7 @@ class AlarmSettings(Section):
     )
     keep_firing_s: Delay = Field(10.0, description="time below the limit before the alarm ends")
     no_data_s: Annotated[float, IsNumber, limited(0.1, 604_800.0, "s")] | None = Field(
-        None, description="time without rows before a separate alarm no_data fires; default: never"
+        None, description="time without rows before a separate alarm no_data fires"
     )
     repeat_s: Annotated[float, IsNumber, limited(1.0, 604_800.0, "s")] = Field(
         3600.0, description="interval of reminders until the alarm is acknowledged"
@@ -142,14 +142,14 @@ class NotifySettings(Section):
         None, description="http(s) address to which each change is sent by POST, as JSON"
     )
     secret: Annotated[SecretStr, Form("text")] | None = Field(
-        None, description='key of the HMAC-SHA256 signature; write "{NAME}"; default: not signed'
+        None, description='key of the HMAC-SHA256 signature; write "{NAME}"'
     )
     smtp: Annotated[str, AfterValidator(_is_a_server), Form("HOST:PORT")] | None = Field(
         None, description="host and port of a mail server, instead of webhook; port 465: TLS from the start"
     )
     to: Annotated[tuple[Mail, ...], Form("list of addresses")] = Field((), description="addresses that get mail")
     sender: Mail = Field("midspan@localhost", description="whom mail is from")
-    user: str | None = Field(None, description="user of the mail server; default: none")
+    user: str | None = Field(None, description="user of the mail server")
     password: Annotated[SecretStr, Form("text")] | None = Field(None, description='its password; write "{NAME}"')
 
     @model_validator(mode="after")
@@ -170,7 +170,7 @@ class NotifySettings(Section):
 
 
 class MaintenanceSettings(Section):
-    """A time without messages; alarms are evaluated and kept all the same."""
+    """A time without messages; alarms are evaluated and kept."""
 
     begin: Annotated[datetime, Form("time")] = Field(description="first instant, UTC without a zone")
     end: Annotated[datetime, Form("time")] = Field(description="end, UTC without a zone")

@@ -74,7 +74,7 @@ class TargetSettings(Section):
         )
     )
     distance_std_m: Annotated[float, IsNumber, limited(0.0, 1e6, "m")] = Field(
-        0.0, description="standard deviation of distance_m; two distances within it count as equal"
+        0.0, description="σ of distance_m; two distances within it count as equal"
     )
 
     @property
@@ -172,11 +172,11 @@ class CameraSettings(Section):
         description="displacement per pixel, signed, if known (one target, one axis); default: calibrated",
     )
     scale_std_mm_per_px: Annotated[float, IsNumber, limited(0.0, 1e6, "mm/px")] = Field(
-        0.0, description="standard deviation of scale_mm_per_px; more widens the band in proportion to the displacement"
+        0.0, description="σ of scale_mm_per_px; more widens the band in proportion to the displacement"
     )
     tilt_std_mdeg: Annotated[float, IsNumber, limited(0.0, 1e5, "mdeg")] = Field(
         0.0,
-        description="standard deviation of the camera's tilt; times distance_m it widens the band; 0: not included",
+        description="σ of the camera's tilt; times distance_m it widens the band",
     )
     distance_m: Annotated[float, IsNumber, limited(1e-3, 1e6, "m")] | None = Field(
         None,
@@ -195,7 +195,7 @@ class CameraSettings(Section):
         default_factory=dict,
         description="settings of this tracker (docs/trackers.md); ignored with another --tracker",
     )
-    lens: LensSettings | None = Field(None, description="lens distortion; default: not corrected")
+    lens: LensSettings | None = Field(None, description="lens distortion that is corrected")
     reference: Literal["first", "key-frames", "updating"] | None = Field(
         None,
         description="reference frame: the first, several overlapping key frames, or replaced as published; default: "

@@ -60,7 +60,7 @@ class GroupSettings(Section):
     accelerometer: Topic = Field(
         description="topic of the accelerations; `{i}` is the point's number from 0, without it all points share it"
     )
-    displacement: Topic = Field(description="topic of the slow displacements, such as GNSS heights; `{i}` likewise")
+    displacement: Topic = Field(description="topic of the displacements; `{i}` likewise")
     accelerometer_unit: Annotated[str, AfterValidator(_is_an_acceleration), Form("acceleration")] = Field(
         "m/s^2", description="unit of the accelerations"
     )
@@ -68,11 +68,9 @@ class GroupSettings(Section):
         "mm", description="unit of the displacements"
     )
     accelerometer_noise_std: Noise = Field(
-        description="standard deviation of an accelerometer's noise per sample, in its unit; larger trusts it less"
+        description="σ of an accelerometer's noise per sample; larger trusts it less"
     )
-    displacement_noise_std: Noise = Field(
-        description="standard deviation of a displacement's noise, in its unit; larger trusts it less"
-    )
+    displacement_noise_std: Noise = Field(description="σ of a displacement's noise; larger trusts it less")
 
 
 @dataclass(frozen=True, slots=True)

@@ -126,8 +126,7 @@ class FusionSettings(Section):
     )
     start_velocity_mm_s: Annotated[float, IsNumber, limited(0.0, 1e9, "mm/s")] | None = Field(
         None,
-        description="`adaptive-kalman`, literal: standard deviation of the initial velocity; default: three times "
-        "the rms speed",
+        description="`adaptive-kalman`, literal: σ of the initial velocity; default: three times the rms speed",
     )
     half_window: Annotated[int, IsNumber, Field(ge=MIN_HALF_WINDOW, le=1_000_000)] | None = Field(
         None, description="`fir`: half length in samples; more increases the delay; default: 0.5 s, or by cut_off_hz"

@@ -78,8 +78,7 @@ class AccelerometerSettings(ChannelSettings):
     )
     scale_std: Annotated[float, IsNumber, Field(ge=0, le=1)] = Field(
         0.0,
-        description="relative standard deviation of its sensitivity (0.01: 1 %); widens the band of every row; 0: "
-        "not included",
+        description="relative σ of its sensitivity (0.01: 1 %); widens the band of every row",
     )
     estimate_scale: bool = Field(
         True,

@@ -83,9 +83,9 @@ def _is_a_host(value: str) -> str:
 
 
 class StoreSettings(Section):
-    """Where rows are kept: a folder for SQLite files, or the address of a PostgreSQL database."""
+    """Where rows are kept: a folder of SQLite files, or a PostgreSQL database."""
 
-    path: FileName | None = Field(None, description="folder for SQLite files, relative to SITE.toml")
+    path: FileName | None = Field(None, description="folder for SQLite files")
     url: Annotated[SecretStr, Form("address")] | None = Field(
         None, description="postgresql://user@host/database, instead of path"
     )
@@ -96,8 +96,7 @@ class StoreSettings(Section):
     keep_days: Annotated[float, IsNumber, limited(1.0, 36500.0, "days")] = Field(
         365.0, description="retention time of rows and raw records"
     )
-
-    archive: FileName | None = Field(None, description="folder for each day's records as Parquet; default: none")
+    archive: FileName | None = Field(None, description="folder for each day's records as Parquet")
 
     @model_validator(mode="after")
     def _is_one(self) -> "StoreSettings":
@@ -112,25 +111,22 @@ class MqttSettings(Section):
     """The broker that blocks come from and results go to."""
 
     host: Annotated[str, Field(min_length=1), AfterValidator(_is_a_host)] = Field(
-        "127.0.0.1", description="name or address of the broker; with TLS a name in its certificate"
+        "127.0.0.1", description="the broker; with TLS a name in its certificate"
     )
-    port: Annotated[int, IsNumber, Field(ge=1, le=65535)] = Field(
-        1883, description="port of the broker; with TLS usually 8883"
-    )
-    user: Annotated[str, Field(min_length=1)] | None = Field(None, description="user name; default: none")
+    port: Annotated[int, IsNumber, Field(ge=1, le=65535)] = Field(1883, description="its port; with TLS usually 8883")
+    user: Annotated[str, Field(min_length=1)] | None = Field(None, description="user name")
     password: Annotated[SecretStr, Form("text")] | None = Field(
         None, description='password; write "{NAME}" to take it from the environment'
     )
     prefix: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] = Field(
         "midspan", description="prefix of all result topics"
     )
-
     discovery: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] | None = Field(
-        None, description='Home Assistant\'s discovery prefix, usually "homeassistant"; default: no discovery'
+        None, description='Home Assistant\'s discovery prefix, usually "homeassistant"'
     )
     ca: FileName | None = Field(
         None,
-        description="CA certificates (PEM) that verify the broker; enables TLS; default: no TLS",
+        description="CA certificates (PEM) that verify the broker; enables TLS",
     )
     cert: FileName | None = Field(None, description="client certificate (PEM), if the broker requires one")
     key: FileName | None = Field(None, description="private key of cert (PEM), without a password")
@@ -176,7 +172,7 @@ class PointSettings(Section):
     name: PointName = Field(description="name of the point, part of topics, files and addresses")
     method: Literal["kalman", "lag", "adaptive-kalman", "fir", "two-stage-fir"] = Field(
         "kalman",
-        description="fusion method: causal, delayed by lag_s, adaptive, or a paper's filters; see `midspan methods`",
+        description="fusion method; see `midspan methods`",
     )
     literal: bool = Field(False, strict=True, description="method, calibration and tracker as printed in the papers")
     lag_s: Annotated[float, IsNumber, limited(1e-6, 60.0, "s")] = Field(
@@ -187,7 +183,7 @@ class PointSettings(Section):
         description="calibration.json of `midspan calibrate` or an earlier run; default: the point calibrates itself",
     )
     accept: Literal["auto", "manual"] = Field(
-        "auto", description="auto: the point's new calibration takes effect at once; manual: after cmd/accept"
+        "auto", description="auto: a new calibration takes effect at once; manual: after cmd/accept"
     )
     calibration_s: Annotated[float, IsNumber, limited(10.0, 3600.0, "s")] = Field(
         60.0, description="length of the calibration recording; longer needs less motion"

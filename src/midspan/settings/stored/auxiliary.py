@@ -18,10 +18,10 @@ class StoredAuxiliary(StoredSensor):
 
     time_offset_s: Time = Field(0.0, description="clock offset, added to the sensor's stamps")
     noise_std: Ratio = Field(description="white noise of one value, m/s, rad/s or rad")
-    zero_std: StdOrInf = Field(math.inf, description="standard deviation of its zero, same unit; null: not known")
+    zero_std: StdOrInf = Field(math.inf, description="σ of its zero, same unit; null: not known")
     zero_walk: Std = Field(0.0, description="density of the zero's random walk, unit²/s")
     focal_px: Ratio = Field(1.0, description="focal length of the camera, px/rad; of a velocity 1")
-    focal_std_px: Std = Field(0.0, description="its standard deviation")
+    focal_std_px: Std = Field(0.0, description="its σ")
     verified: bool = Field(True, description="whether the motion shows its sign and scale")
 
     @classmethod

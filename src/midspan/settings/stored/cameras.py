@@ -47,7 +47,7 @@ class StoredTarget(Stored):
     name: Text | None = Field(None, description="of the target")
     roi: Roi = Field(description="its region")
     scale_mm_per_px: Factor | None = Field(None, description="scale factor of this target")
-    scale_std_mm_per_px: Std | None = Field(0.0, description="its standard deviation")
+    scale_std_mm_per_px: Std | None = Field(0.0, description="its σ")
     noise_std_px: Annotated[Noise, null(math.nan)] = Field(math.nan, description="noise of one frame's translation")
     variance_factor: Annotated[Ratio, null(math.nan)] = Field(
         math.nan, description="estimated variance over the tracker's own"
@@ -81,20 +81,18 @@ class StoredScale(Stored):
 
     fields: ClassVar = {"targets": ""}
     scale_mm_per_px: Factor = Field(description="scale factor of the target with the least noise in mm, signed")
-    scale_std_mm_per_px: Std = Field(0.0, description="its standard deviation")
-    relative_scale_std: Std | None = Field(
-        None, description="relative standard deviation of all targets' scale factors together"
-    )
+    scale_std_mm_per_px: Std = Field(0.0, description="its σ")
+    relative_scale_std: Std | None = Field(None, description="relative σ of all targets' scale factors together")
     phase_scale_mm_per_rad: Factor | None = Field(
         None, description="displacement per mean phase of the active pixels (trackers phase and hybrid)"
     )
     apart_std_mm: Std = Field(
         0.0, description="unexplained difference from the accelerometer (rms), included in the band"
     )
-    slow_std_mm: Std = Field(0.0, description="standard deviation of its slow error; 0: white noise only")
+    slow_std_mm: Std = Field(0.0, description="σ of its slow error; 0: white noise only")
     slow_time_s: StdOrInf = Field(math.inf, description="correlation time of the slow error")
     slow_hz: Std = Field(0.0, description="frequency of the slow error; 0: first-order Gauss-Markov")
-    tilt_std_px: Std = Field(0.0, description="standard deviation of the tilt that the targets show; 0: none")
+    tilt_std_px: Std = Field(0.0, description="σ of the tilt that the targets show; 0: none")
     tilt_walk_px2_s: Std = Field(0.0, description="density of the tilt's random walk, px²/s")
     tilt_of: Text = Field("", description="camera on the same box whose tilt that is; empty: its own")
     tilt_ratio: Factor = Field(1.0, description="pixels of this camera for a pixel of that one by a tilt, signed")

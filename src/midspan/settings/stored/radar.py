@@ -69,9 +69,9 @@ class StoredRadarTarget(Stored):
     conversion_factor: NumberOrNan = Field(
         math.nan, description="displacement per change of range, signed; null: not known"
     )
-    conversion_factor_std: Number | None = Field(None, description="its standard deviation")
+    conversion_factor_std: Number | None = Field(None, description="its σ")
     time_offset_s: Time | None = Field(None, description="clock offset by this target alone")
-    time_offset_std_s: NumberOrInf = Field(math.inf, description="its standard deviation")
+    time_offset_std_s: NumberOrInf = Field(math.inf, description="its σ")
     coherence: Number | None = Field(
         None, description="share of the phase's acceleration that the accelerometer explains"
     )
@@ -79,11 +79,9 @@ class StoredRadarTarget(Stored):
     disagreement_rad: NumberOrZero = Field(0.0, description="phase of the worst receiver relative to the others")
     noise_std_mm: NumberOrInf = Field(math.inf, description="noise of one frame")
     reach_bins: Annotated[Bin, null(0.0)] = Field(0.0, description="how far it moved")
-    modulation_rad: NumberOrNan = Field(
-        math.nan, description="standard deviation of the phase from moving clutter in its bin"
-    )
+    modulation_rad: NumberOrNan = Field(math.nan, description="σ of the phase from moving clutter in its bin")
     phase_noise_rad2: NumberOrZero = Field(0.0, description="variance of the phase beyond the receiver's noise")
-    own_std_mm: NumberOrZero = Field(0.0, description="standard deviation of the target's own motion")
+    own_std_mm: NumberOrZero = Field(0.0, description="σ of the target's own motion")
     own_hz: NumberOrZero = Field(0.0, description="frequency of its own motion; 0: above about 0.3 Hz")
     leak: Complex = Field((0.0, 0.0), description="static clutter of the bin, which is subtracted, [real, imaginary]")
     background: Annotated[StoredBackground | None, Form("section")] = Field(
@@ -131,10 +129,8 @@ class StoredRadar(StoredSensor):
 
     fields: ClassVar = {"targets": "", "target_range_m": "", "noise_std_mm": ""}
     conversion_factor: Factor = Field(description="of the best target, signed")
-    conversion_factor_std: Std = Field(0.0, description="its standard deviation")
-    relative_std: Std | None = Field(
-        None, description="relative standard deviation of all used targets' factors together"
-    )
+    conversion_factor_std: Std = Field(0.0, description="its σ")
+    relative_std: Std | None = Field(None, description="relative σ of all used targets' factors together")
     variance_factor: Ratio = Field(1.0, description="estimated variance divided by the stated one")
     carrier_hz: Carrier = Field(description="carrier of the calibrated radar; another one is refused")
     channels: Annotated[int, IsNumber, Field(ge=1, le=4096)] = Field(description="number of its channels")

@@ -147,14 +147,14 @@ class StoredAccelerometer(Stored):
     noise_std_m_s2: AccelerationNoise = Field(description="noise per sample, given or estimated")
     motion_noise_s: Std = Field(0.0, description="additional noise density per mean square of the acceleration")
     bias_m_s2: Bias = Field(0.0, description="reading at rest at the end of the window")
-    bias_std_m_s2: StdOrInf = Field(math.inf, description="its standard deviation; null: not known")
+    bias_std_m_s2: StdOrInf = Field(math.inf, description="its σ; null: not known")
     bias_drift_m_s3: Number = Field(
         0.0, description="drift rate of the bias; widens its random walk; 0: not observable"
     )
     scale: Factor = Field(1.0, description="gain relative to a displacement sensor; 1 where it was not estimated")
     scale_std: Std = Field(
         0.0,
-        description="standard deviation of the gain, else the recording's scale_std; part of all scales' deviations",
+        description="σ of the gain, else the recording's scale_std; part of all scales' deviations",
     )
     misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = Field(
         1.0, description="factor on the variance of rows, 1 or more, for innovations that are not white"
@@ -165,7 +165,7 @@ class StoredAccelerometer(Stored):
     direction: Annotated[tuple[Component, ...], Field(max_length=2)] = Field(
         (), description="with cross_values: sensors' axis along the cross axes, for one along value"
     )
-    direction_std: tuple[Std, ...] = Field((), description="standard deviations of direction")
+    direction_std: tuple[Std, ...] = Field((), description="σ of direction")
     usual: Annotated[StoredUsual | None, Form("section")] = Field(
         None,
         description="usual mean, variance, frequency, extremes, range and resolution, for detecting gaps and clipping",
@@ -194,7 +194,7 @@ class StoredSensor(Stored):
 
     name: SensorName | None = Field(None, description="of a named sensor; of several a list holds one section each")
     time_offset_s: Time = Field(description="clock offset, added to the sensor's stamps")
-    time_offset_std_s: StdOrInf = Field(0.0, description="its standard deviation; null: not known")
+    time_offset_std_s: StdOrInf = Field(0.0, description="its σ; null: not known")
 
     @property
     def offset(self) -> TimeOffset:
@@ -232,7 +232,7 @@ class StoredDisplacement(StoredSensor):
         -math.inf, description="lower end of its range, if values were clipped there; null: none"
     )
     high_m: NumberOrInf = Field(math.inf, description="upper end of its range, likewise")
-    slow_std_mm: Std = Field(0.0, description="standard deviation of its slow error; 0: white noise only")
+    slow_std_mm: Std = Field(0.0, description="σ of its slow error; 0: white noise only")
     slow_time_s: StdOrInf = Field(math.inf, description="correlation time of the slow error")
     slow_hz: Std = Field(0.0, description="frequency of the slow error; 0: first-order Gauss-Markov")
     exposure_s: Duration = Field(0.0, description="averaging time of a value, given or estimated")
@@ -240,7 +240,7 @@ class StoredDisplacement(StoredSensor):
         0.0, description="unexplained difference from the accelerometer (rms), included in the band"
     )
     scale: Factor = Field(1.0, description="displacement per reading, with estimate_scale")
-    scale_std: Std = Field(0.0, description="its standard deviation")
+    scale_std: Std = Field(0.0, description="its σ")
     clock_rate: Number = Field(0.0, description="clock drift: added to its stamps per second since clock_reference_s")
     clock_reference_s: Number = Field(0.0, description="instant on its own clock from which clock_rate counts")
     unseen_drift_mm: StdOrInf = Field(
