@@ -52,6 +52,7 @@ def calls(footbridge, done, target):
         "inspect": ["inspect", f"{footbridge}"],
         "calibrate": ["calibrate", f"{footbridge}", "-o", f"{target}/calibration.json"],
         "estimate": ["estimate", f"{footbridge}", "-o", f"{target}/result.csv"],
+        "fleet": ["fleet", f"{site(footbridge, target)}", "--shards", "1", "--for", "3"],
         "batch": ["batch", f"{campaign(footbridge, target)}", "--runner", "local"],
         "track": ["track", f"{footbridge}", "-o", f"{target}/track.csv"],
         "lens": ["lens", f"{done}/boards", "-o", f"{target}/lens.json"],
@@ -92,7 +93,7 @@ def site(footbridge, target):
 
 # `papers` runs for long: tests/papers/test_papers_claims.py has the same three tests of it.
 NAMES = [name for name in COMMANDS if name not in ("demo", "papers")]
-LONG = ("lens", "open", "run", "serve")
+LONG = ("fleet", "lens", "open", "run", "serve")
 QUICK = [name for name in NAMES if name not in LONG]
 
 

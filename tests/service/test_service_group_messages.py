@@ -92,7 +92,7 @@ def test_one_message_has_the_blocks_of_all_points_and_a_shard_takes_its_own():
         (of_group(6, np.ones((6, 2)), n=3), "bytes for 6 points and 3 values"),
         (of_group(6, np.ones((6, 2)), kind=1), "kind 1 where 4 is expected"),
         (of_group(6, np.ones((6, 2)), t0_ns=0), "outside the years"),
-        (of_group(6, np.ones((6, 2)), dt_ns=0), "above 0"),
+        (of_group(6, np.ones((6, 2)), dt_ns=0), "a microsecond"),
     ],
 )
 def test_what_is_no_message_of_all_points_is_refused(payload, said):

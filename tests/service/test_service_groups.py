@@ -121,6 +121,27 @@ def test_live_rows_are_those_of_a_bank_bit_for_bit(shared, numbers):
     assert_same(found, by_point(bank_fed(range(8), numbers)))
 
 
+def test_what_came_while_the_service_was_away_gives_the_same_rows():
+    group, seconds = Group.begun(plan()), range(100)
+    sent = [message for second in seconds for message in messages(second)]
+    for number, (topic, payload) in enumerate(sent):
+        inbox, place = group.topics[topic]
+        inbox.put(place, payload, (1, number + 1))
+    found = by_point([group.second((BEGIN_S + 101) * NANOSECONDS).rows])
+    assert_same(found, by_point([one.rows for one in fed(Group.begun(plan()), seconds)]))
+
+
+def test_what_the_broker_brings_again_is_no_event():
+    before = Group.begun(plan())
+    fed(before, range(8))
+    group = Group.begun(plan(), before.bank.state(), before.until_ns)
+    # All that came before, once more.
+    again = fed(group, range(9))
+    kinds = {event.kind for one in again for _, event in one.events}
+    assert "late" not in kinds
+    assert len(by_point([one.rows for one in again])[0][0]) >= 100
+
+
 def test_each_point_has_its_own_displacement():
     group = Group.begun(plan())
     found = by_point([one.rows for one in fed(group, range(20))])

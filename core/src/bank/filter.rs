@@ -30,6 +30,8 @@ const SHIFTED: i8 = 4;
 const FROZEN: u8 = 10;
 /// Rows end this long after a point was lost, s; what is begun anew after that long.
 const ROWS_LOST_S: f64 = 30.0;
+/// Where nothing was measured for longer, what the acceleration's gap hid can be anything: the filter begins anew, s.
+const BRIDGED_S: f64 = 3.0;
 /// Ages in intervals of the displacement sensor from which on rows are coasting and lost.
 const COASTING_INTERVALS: f64 = 5.0;
 const LOST_INTERVALS: f64 = 10.0;
@@ -147,7 +149,7 @@ impl Filter {
         settings: &Settings,
         out: &mut Vec<Event>,
     ) -> Option<Row> {
-        if self.at_ns == NEVER || sample.time_ns - self.at_ns > (ROWS_LOST_S * SECOND) as i64 {
+        if self.at_ns == NEVER || self.is_apart(sample, waiting) {
             self.begin(sample);
             return None;
         }
@@ -161,6 +163,18 @@ impl Filter {
         }
         self.end(&interval, settings);
         self.row(settings, out)
+    }
+
+    /// Whether a sample comes after a gap that nothing bridges.
+    #[inline]
+    fn is_apart(&self, sample: &Reading, waiting: &Queue) -> bool {
+        let gap_ns = sample.time_ns - self.at_ns;
+        if gap_ns <= (BRIDGED_S * SECOND) as i64 {
+            return false;
+        }
+        let next_ns = waiting.first().map_or(i64::MAX, |one| one.time_ns);
+        let unseen_ns = next_ns.saturating_sub(self.stamped_ns.max(self.stamp_of(self.at_ns)));
+        gap_ns > (ROWS_LOST_S * SECOND) as i64 || unseen_ns > (BRIDGED_S * SECOND) as i64
     }
 
     /// Density of the acceleration's noise, (m/s²)²/Hz; step_s: from one sample to the next.

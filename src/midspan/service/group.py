@@ -3,7 +3,7 @@
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from midspan.sources.live.instants import SourceFault
 MAX_WAITING_BYTES = 256_000_000
 # What cannot be used is an event of the group so often, s.
 TELL_AGAIN_S = 60.0
+# What came is filtered in steps of this length: the bank keeps 40 s of 100 Hz of a sensor for the other one.
+SLICE_NS = 8 * NANOSECONDS
 # Of one message of all points at most this many bytes a point: 250 values.
 POINT_BYTES = 1000
 # Kind and text of the event that each code of the bank is.
@@ -70,10 +72,11 @@ class GroupSecond:
 
 @dataclass(slots=True)
 class Group:
-    """plan: of the group; bank: its filter. Times come as arguments."""
+    """plan: of the group; bank: its filter; kept_ns: when that had ended before a restart. Times are arguments."""
 
     plan: GroupPlan
     bank: Bank
+    kept_ns: int = 0
     inboxes: tuple[Inbox, Inbox] = field(init=False)
     standings: Standings = field(init=False)
     # The newest stamp of all blocks that came: points without blocks go on, or end, by that.
@@ -93,8 +96,8 @@ class Group:
         self.standings = Standings(len(self.plan.numbers))
 
     @classmethod
-    def begun(cls, plan: GroupPlan, state: bytes | None = None) -> "Group":
-        """A group that nothing has come for yet, or that goes on from its bank's state."""
+    def begun(cls, plan: GroupPlan, state: bytes | None = None, kept_ns: int = 0) -> "Group":
+        """A group that nothing has come for yet, or that goes on from its bank's state; kept_ns: of when that is."""
         settings = plan.settings
         own = BankSettings(
             acceleration_std_m_s2=settings.accelerometer_noise_std * plan.accelerometer_factor,
@@ -102,7 +105,9 @@ class Group:
         )
         bank = None if state is None else Bank.restored(state, own)
         # A group that has more or fewer points than before begins anew.
-        return cls(plan, bank if bank is not None and len(bank) == len(plan.numbers) else Bank(len(plan.numbers), own))
+        if bank is None or len(bank) != len(plan.numbers):
+            return cls(plan, Bank(len(plan.numbers), own))
+        return cls(plan, bank, kept_ns=kept_ns)
 
     @property
     def topics(self) -> dict[str, tuple[Inbox, int]]:
@@ -120,19 +125,25 @@ class Group:
 
     def second(self, now_ns: int) -> GroupSecond:
         """Filter what came, up to the newest stamp of all blocks."""
-        receipts = list[tuple[int, int]]()
-        factors = (self.plan.accelerometer_factor, self.plan.displacement_factor)
-        for sensor, (inbox, factor) in enumerate(zip(self.inboxes, factors, strict=True)):
+        receipts, came = list[tuple[int, int]](), list[tuple[int, PointBlocks]]()
+        for sensor, inbox in enumerate(self.inboxes):
             taken = inbox.take()
             receipts += [receipt for _, _, receipt in taken]
             for blocks in self._blocks(inbox, taken, now_ns):
-                self.until_ns = max(self.until_ns, int(blocks.end_ns.max()))
                 self.standings.heard(sensor, blocks.point, now_ns / NANOSECONDS)
-                self.bank.push(_in_si(sensor, blocks, factor))
-        rows = self.bank.rows(self.until_ns)
+                came.append((sensor, blocks))
+        rows = joined([self._filtered(part) for part in _slices(came)])
         self.standings.given(rows, now_ns / NANOSECONDS)
         self.standings.look(now_ns / NANOSECONDS)
         return GroupSecond(rows, [*self._events(), *self._reports(now_ns)], self.bank.state(), receipts)
+
+    def _filtered(self, came: Sequence[tuple[int, PointBlocks]]) -> GroupRows:
+        """The rows of blocks by their sensor."""
+        factors = (self.plan.accelerometer_factor, self.plan.displacement_factor)
+        for sensor, blocks in came:
+            self.until_ns = max(self.until_ns, int(blocks.end_ns.max()))
+            self.bank.push(_in_si(sensor, blocks, factors[sensor]))
+        return self.bank.rows(self.until_ns)
 
     def _blocks(self, inbox: Inbox, taken: list[tuple[int, bytes, tuple[int, int]]], now_ns: int) -> list[PointBlocks]:
         """Messages as blocks without what cannot be used, which is counted."""
@@ -154,6 +165,9 @@ class Group:
     def _events(self) -> list[tuple[str, Event]]:
         found = []
         for place, time_ns, code in self.bank.events():
+            if code is BankCode.LATE and time_ns <= self.kept_ns:
+                # The broker brings again what was not acknowledged before a restart.
+                continue
             kind, text = EVENTS[code]
             found.append((self.name(place), Event(time_ns, kind, text)))
         return found
@@ -166,6 +180,30 @@ class Group:
         self.faults += refused.count
         text = f"{self.plan.name}: {refused.count} messages could not be used, such as: "
         return [(self.plan.name, Event(now_ns, code, text + why)) for code, why in refused.texts.items()]
+
+
+def _slices(came: Sequence[tuple[int, PointBlocks]]) -> list[list[tuple[int, PointBlocks]]]:
+    """Blocks by the time that they begin in, the earliest first: of what came while the service was away, one sensor's
+    readings are not to wait for those of the other until there is no room.
+    """
+    if not came:
+        return [[]]
+    slots = [blocks.t0_ns // SLICE_NS for _, blocks in came]
+    numbers = np.unique(np.concatenate(slots))
+    if len(numbers) == 1:
+        return [list(came)]
+    return [
+        [(sensor, blocks.part(slot == number)) for (sensor, blocks), slot in zip(came, slots, strict=True)
+         if (slot == number).any()]
+        for number in numbers
+    ]  # fmt: skip
+
+
+def joined(parts: Sequence[GroupRows]) -> GroupRows:
+    """Rows one after another."""
+    if len(parts) == 1:
+        return parts[0]
+    return GroupRows(*(np.concatenate([getattr(one, each.name) for one in parts]) for each in fields(GroupRows)))
 
 
 def _in_si(sensor: int, blocks: PointBlocks, factor: float) -> BankBlocks:

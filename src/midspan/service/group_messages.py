@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import NANOSECONDS, Nanoseconds
-from midspan.sources.live.blocks import FIRST_NS, HEAD, LAST_NS, MAX_STEP_NS, VERSION, Block, parse
+from midspan.sources.live.blocks import FIRST_NS, HEAD, LAST_NS, MAX_STEP_NS, MIN_STEP_NS, VERSION, Block, parse
 from midspan.sources.live.instants import SourceFault
 
 # Stamps that far ahead of this machine's clock are refused, s.
@@ -83,7 +83,7 @@ def _table(
     table = np.frombuffer(b"".join(payloads), dtype=np.dtype([*FIELDS, ("values", "<f4", (count,))]))
     good: NDArray[np.bool_] = (table["version"] == VERSION) & (table["kind"] == kind) & (table["n"] == count)
     good &= (table["t0_ns"] >= FIRST_NS) & (table["t0_ns"] <= LAST_NS)
-    good &= (table["dt_ns"] > 0) & (table["dt_ns"] <= MAX_STEP_NS)
+    good &= (table["dt_ns"] >= MIN_STEP_NS) & (table["dt_ns"] <= MAX_STEP_NS)
     if count and good.any():
         own = table if good.all() else table[good]
         counts = np.full(len(own), count, dtype=np.uint32)
@@ -139,7 +139,7 @@ def of_all(kind: int, points: int, numbers: range, payload: bytes) -> PointBlock
         (in_it == points, f"{in_it} points; the group has {points}"),
         (len(payload) == size + 4 * points * count, f"{len(payload)} bytes for {points} points and {count} values"),
         (FIRST_NS <= t0_ns <= LAST_NS, f"a first stamp of {t0_ns} ns, outside the years 2000 to 2200 (UTC)"),
-        (0 < dt_ns <= MAX_STEP_NS, f"an interval of {dt_ns} ns; it must be above 0 and at most an hour"),
+        (MIN_STEP_NS <= dt_ns <= MAX_STEP_NS, f"an interval of {dt_ns} ns; it must be a microsecond to an hour"),
     )
     if (wrong := next((text for holds, text in rules if not holds), None)) is not None:
         raise SourceFault("payload", f"a block must be as documented; received {wrong}")

@@ -65,7 +65,7 @@ class Groups:
             return before
         try:
             kept = store.group_checkpoint(plan.key)
-            fresh = Group.begun(plan, None if kept is None else kept[1])
+            fresh = Group.begun(plan) if kept is None else Group.begun(plan, kept[1], kept[0])
         except (DataError, ValueError) as error:
             self._say(f"{plan.name}: the stored state cannot be used ({error}); its filters begin anew.")
             fresh = Group.begun(plan)

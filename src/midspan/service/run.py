@@ -577,7 +577,7 @@ class Service:
 
     def _log(self) -> None:
         """One line a minute."""
-        self._say(line_of(self.standing()))
+        self._say(line_of(self.standing()) or "all groups are measured.")
         if self._note is not None:
             self._note(self.record())
 

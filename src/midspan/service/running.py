@@ -384,7 +384,7 @@ def line_of(standing: Mapping[str, Any]) -> str:
     points, sources = standing["points"], standing["sources"]
     words = [f"{one['point']} {one['status']}" + f" ({one['reason']})" * bool(one["reason"]) for one in points]
     down = [f"{one['point']}/{one['source']}: {one['reason']}".lstrip("/") for one in sources if one["reason"]]
-    return "; ".join([", ".join(words), *down])
+    return "; ".join([*([", ".join(words)] if words else []), *down])
 
 
 def drafted(site: Site, names: Collection[str]) -> list[Running]:

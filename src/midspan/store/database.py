@@ -69,6 +69,11 @@ class SqliteDatabase:
         with sqlite_faults(self.file):
             self._connection.executemany(sql.replace("{blob}", "BLOB"), rows)
 
+    def create(self, tables: Sequence[str]) -> None:
+        """Run the statements that make tables where there are none."""
+        for sql in tables:
+            self.execute(sql)
+
     def has_table(self, name: str) -> bool:
         """Whether there is a table: files of earlier versions that are only read have fewer."""
         return bool(self.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?", (name,)))
@@ -160,6 +165,15 @@ class PostgresDatabase:
         except psycopg.OperationalError as error:
             self.close()
             raise _unavailable(error) from None
+
+    def create(self, tables: Sequence[str]) -> None:
+        """Run the statements that make tables where there are none: one process after another, as two that make the
+        same table at once fail.
+        """
+        with self.transaction():
+            self.execute("SELECT pg_advisory_xact_lock(hashtext('midspan tables'))")
+            for sql in tables:
+                self.execute(sql)
 
     def has_table(self, name: str) -> bool:
         """Whether there is a table."""

@@ -512,8 +512,8 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
                 checkpoints.execute(sql)
             tables = SITE_TABLES
         opened.callback(store.close)
-        for sql in () if read_only else tables:
-            database.execute(sql)
+        if not read_only:
+            database.create(tables)
         if _version(database, str(where), write=not read_only) == "1" and not read_only:
             store.take_forward()
         opened.pop_all()

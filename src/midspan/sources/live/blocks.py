@@ -23,7 +23,7 @@ VELOCITY, ROTATION_RATE, ANGLE = 6, 7, 8
 MAX_BYTES = 1_000_000
 # From 2000 to 2200, ns: stamps outside are a clock that was never set.
 FIRST_NS, LAST_NS = 946_684_800 * NANOSECONDS, 7_258_118_400 * NANOSECONDS
-MAX_STEP_NS = 3600 * NANOSECONDS
+MIN_STEP_NS, MAX_STEP_NS = 1000, 3600 * NANOSECONDS
 SEQUENCES = 2**32
 
 
@@ -66,8 +66,9 @@ def parse(payload: bytes, kind: int, dated: Dated | None = None) -> Block:
         raise _refuse(f"kind {block.kind} where {kind} is expected")
     if not FIRST_NS <= block.t0_ns <= LAST_NS:
         raise _refuse(f"a first stamp of {block.t0_ns} ns, outside the years 2000 to 2200 (UTC)")
-    if not 0 < block.dt_ns <= MAX_STEP_NS:
-        raise _refuse(f"an interval of {block.dt_ns} ns; it must be above 0 and at most an hour")
+    # A result of one row has no interval.
+    if not (1 if kind == RESULT else MIN_STEP_NS) <= block.dt_ns <= MAX_STEP_NS:
+        raise _refuse(f"an interval of {block.dt_ns} ns; it must be at least a microsecond and at most an hour")
     return block
 
 
