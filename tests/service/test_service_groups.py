@@ -131,6 +131,18 @@ def test_what_came_while_the_service_was_away_gives_the_same_rows():
     assert_same(found, by_point([one.rows for one in fed(Group.begun(plan()), seconds)]))
 
 
+def test_blocks_of_a_point_are_counted_in_the_order_of_time():
+    group, sent = Group.begun(plan()), [message for second in range(30) for message in messages(second)]
+    # A second that never came makes two runs of each point.
+    for topic, payload in sent[: 40 * POINTS] + sent[44 * POINTS :]:
+        group.topics[topic][0].put(group.topics[topic][1], payload, (1, 1))
+    rows = joined_runs(group.second((BEGIN_S + 31) * NANOSECONDS).rows)
+    blocks = [parse(body, RESULT) for place, body in result_blocks(rows, np.zeros(POINTS, np.uint32)) if place == 3]
+    assert len(blocks) > 1
+    assert [one.sequence for one in blocks] == list(range(len(blocks)))
+    assert np.all(np.diff(np.concatenate([one.time_ns for one in blocks])) > 0)
+
+
 def test_what_the_broker_brings_again_is_no_event():
     before = Group.begun(plan())
     fed(before, range(8))

@@ -200,10 +200,18 @@ def _slices(came: Sequence[tuple[int, PointBlocks]]) -> list[list[tuple[int, Poi
 
 
 def joined(parts: Sequence[GroupRows]) -> GroupRows:
-    """Rows one after another."""
+    """Rows of times that follow one another, those of each point together."""
     if len(parts) == 1:
         return parts[0]
-    return GroupRows(*(np.concatenate([getattr(one, each.name) for one in parts]) for each in fields(GroupRows)))
+    whole = GroupRows(*(np.concatenate([getattr(one, each.name) for one in parts]) for each in fields(GroupRows)))
+    order = np.argsort(whole.point, kind="stable")
+    count = whole.count[order].astype(np.int64)
+    starts = (np.cumsum(whole.count, dtype=np.int64) - whole.count)[order]
+    rows = np.repeat(starts - (np.cumsum(count) - count), count) + np.arange(count.sum())
+    return GroupRows(
+        whole.point[order], whole.t0_ns[order], whole.dt_ns[order], whole.count[order], whole.status[order],
+        whole.displacement_m[rows], whole.std_m[rows], whole.velocity_m_s[rows],
+    )  # fmt: skip
 
 
 def _in_si(sensor: int, blocks: PointBlocks, factor: float) -> BankBlocks:

@@ -42,21 +42,28 @@ def joined_runs(rows: GroupRows) -> GroupRows:
 
 
 def result_blocks(rows: GroupRows, sequence: NDArray[np.uint32]) -> Iterator[tuple[int, bytes]]:
-    """Each run as a block of mm and their standard deviations, with its point's place; sequence (points,): counts the
-    blocks of each point on.
+    """Each run as a block of mm and their standard deviations, with its point's place, in the order of the runs;
+    sequence (points,): counts the blocks of each point on.
     """
     starts = np.cumsum(rows.count, dtype=np.int64) - rows.count
+    by_point = np.argsort(rows.point, kind="stable")
+    first = np.searchsorted(rows.point[by_point], rows.point[by_point])
+    earlier = np.empty(len(by_point), dtype=np.uint32)
+    earlier[by_point] = np.arange(len(by_point)) - first
+    bodies = [b""] * len(rows.point)
     for count in np.unique(rows.count).tolist():
         runs = np.flatnonzero(rows.count == count)
         table = np.zeros(len(runs), np.dtype([*FIELDS, ("values", "<f4", (count,)), ("std", "<f4", (count,))]))
-        point = rows.point[runs]
         table["version"], table["kind"], table["n"] = VERSION, RESULT, count
-        table["t0_ns"], table["dt_ns"], table["sequence"] = rows.t0_ns[runs], rows.dt_ns[runs], sequence[point]
+        table["t0_ns"], table["dt_ns"] = rows.t0_ns[runs], rows.dt_ns[runs]
+        table["sequence"] = sequence[rows.point[runs]] + earlier[runs]
         places = starts[runs, None] + np.arange(count)
         table["values"], table["std"] = 1e3 * rows.displacement_m[places], 1e3 * rows.std_m[places]
-        np.add.at(sequence, point, 1)
         body, size = table.tobytes(), table.itemsize
-        yield from ((one, body[at * size : (at + 1) * size]) for at, one in enumerate(point.tolist()))
+        for at, run in enumerate(runs.tolist()):
+            bodies[run] = body[at * size : (at + 1) * size]
+    np.add.at(sequence, rows.point, 1)
+    yield from zip(rows.point.tolist(), bodies, strict=True)
 
 
 @dataclass(slots=True)
