@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +133,11 @@ def run(points: int, shared: bool, seconds: int, *, serve: bool) -> int:
         came = queue.Queue[float]()
         watcher = watching(broker.port, came)
         line = command("run", site, "--serve" if serve else "--no-serve", "-q")
-        service = subprocess.Popen(line, start_new_session=True)
+        # As an installed package starts: its byte code is kept, whatever the environment says.
+        start = partial(
+            subprocess.Popen, line, start_new_session=True, env={**os.environ, "PYTHONDONTWRITEBYTECODE": ""}
+        )
+        service = start()
         bare = sensors("listen", broker.port, points, shared, 100_000)
         sender = sensors("send", broker.port, points, shared, round(SETTLED_S + seconds + 3 * AFTER_S))
         try:
@@ -147,7 +152,7 @@ def run(points: int, shared: bool, seconds: int, *, serve: bool) -> int:
             while not came.empty():
                 came.get_nowait()
             begun_s = time.monotonic()
-            service = subprocess.Popen(line, start_new_session=True)
+            service = start()
             came.get(timeout=120.0)
             back_s = time.monotonic() - begun_s
             sender.wait()
