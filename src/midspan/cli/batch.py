@@ -29,10 +29,12 @@ def command(campaign: str, runner: str, workers: int | None, quiet: bool, as_jso
     found = batch(campaign, runner=runner, workers=workers, progress=console.progress)
     console.done()
     bad = [one for one in found.outcomes if one.exit_code]
+    console.warn(list(found.warnings))
     for one in bad:
         console.warn([f"{one.recording}: {one.message}"])
     done = len(found.outcomes) - len(bad)
     console.say(f"  {done} of {len(found.outcomes)} recordings done, {len(bad)} failed or refused; see summary.html")
     console.say(f"  written  {found.output}")
-    console.document({"output": str(found.output), "recordings": [asdict(one) for one in found.outcomes]})
+    recordings = [asdict(one) for one in found.outcomes]
+    console.document({"output": str(found.output), "warnings": found.warnings, "recordings": recordings})
     return found.exit_code

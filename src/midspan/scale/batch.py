@@ -12,6 +12,7 @@ from midspan.errors import MidspanError, UsageError
 from midspan.progress import Progress, silent
 from midspan.scale.jobs import jobs_of
 from midspan.scale.pieces import join, pieces_of, work_piece
+from midspan.scale.places import sweep, take
 from midspan.scale.runners import RUNNERS, Died
 from midspan.scale.summary import frame_of, write_summary
 from midspan.scale.work import INTERNAL, Cut, Outcome, Task, work
@@ -23,10 +24,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Campaign:
-    """What came of a campaign: the folder of its results, and the outcomes in the order of their names."""
+    """What came of a campaign: the folder of its results, the outcomes in the order of their names, and warnings, as of
+    results that were removed.
+    """
 
     output: Path
     outcomes: tuple[Outcome, ...]
+    warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         done = sum(not one.exit_code for one in self.outcomes)
@@ -60,16 +64,15 @@ def batch(
     option("runner", runner, RUNNERS)
     if workers is not None and instance("workers", workers, int, "a whole number") < 1:
         raise UsageError(f"workers: must be at least 1; received {workers}.")
-    settings, folder = load_campaign(path_of("campaign", campaign))
-    if runner == "ray":
-        # A worker of a cluster runs in another folder.
-        folder = folder.absolute()
+    settings, file = load_campaign(path_of("campaign", campaign))
+    # A worker of a cluster runs in another folder.
+    folder = file.parent.absolute() if runner == "ray" else file.parent
     output = folder / settings.output
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{output}: cannot be made ({error.strerror}). Choose another output.") from None
-    tasks = [Task(job, output) for job in jobs_of(settings, folder)]
+    jobs = jobs_of(settings, folder)
+    take(output, file)
+    swept = sweep(output, [job.name for job in jobs])
+    warnings = [f"{output}: what is not in the campaign any more is removed: {', '.join(swept)}."] if swept else []
+    tasks = [Task(job, output) for job in jobs]
     shown = _Shown(len(tasks), progress)
     outcomes: list[Outcome | None] = [None] * len(tasks)
     cuts = dict[int, Cut]()
@@ -84,7 +87,7 @@ def batch(
         shown.one_more()
     whole = tuple(one for one in outcomes if one is not None)
     write_summary(output, whole)
-    return Campaign(output, whole)
+    return Campaign(output, whole, tuple(warnings))
 
 
 def _run(

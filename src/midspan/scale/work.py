@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote
 
 from midspan.errors import DataError, MidspanError
 from midspan.scale.confined import require_confined
 from midspan.scale.jobs import SIGNS, Job, key_of
+from midspan.scale.places import DONE, PARTITION, PIECES, ROWS, folder_name
 from midspan.scale.remote import fetched
 from midspan.sources.zipped import is_inside
 from midspan.trees import TreeError, read_json
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from midspan.recording.streams.recording import Recording
     from midspan.settings.stored.calibration import Calibration
 
-ROWS, DONE, PIECES = "rows", "done", "pieces"
 INTERNAL = 1
 
 
@@ -55,7 +54,7 @@ class Task:
     @property
     def rows_folder(self) -> Path:
         """Where the rows go: a part of a set that is partitioned by `recording`."""
-        return self.output / ROWS / f"recording={quote(self.job.name, safe='')}"
+        return self.output / ROWS / f"{PARTITION}{folder_name(self.job.name)}"
 
     @property
     def rows_file(self) -> Path:
@@ -65,12 +64,12 @@ class Task:
     @property
     def pieces_folder(self) -> Path:
         """Where the pieces of a long recording go until all are there."""
-        return self.output / PIECES / quote(self.job.name, safe="")
+        return self.output / PIECES / folder_name(self.job.name)
 
     @property
     def done_file(self) -> Path:
         """Where the outcome goes, after the rows."""
-        return self.output / DONE / f"{quote(self.job.name, safe='')}.json"
+        return self.output / DONE / f"{folder_name(self.job.name)}.json"
 
 
 @dataclass(frozen=True, slots=True)

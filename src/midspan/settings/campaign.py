@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from midspan.errors import DataError, UsageError
+from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS
 from midspan.settings.fields import FileName, Form, Name, OneOf, Section
 from midspan.settings.load import validate
@@ -41,7 +41,7 @@ class CampaignSettings(Section):
 
 
 def load_campaign(path: str | Path) -> tuple[CampaignSettings, Path]:
-    """The settings of a campaign (its file or folder) and the folder that its paths are relative to."""
+    """The settings of a campaign (its file or folder) and the file, to whose folder its paths are relative."""
     path = Path(path)
     file = path / CAMPAIGN_FILE if path.is_dir() else path
     try:
@@ -49,5 +49,5 @@ def load_campaign(path: str | Path) -> tuple[CampaignSettings, Path]:
     except TreeError as error:
         raise UsageError(f"{file}: {error}.") from None
     except OSError as error:
-        raise DataError(f"{file}: cannot be read ({error.strerror}). A campaign is a {CAMPAIGN_FILE}.") from None
-    return validate(tree, str(file), CampaignSettings), file.parent
+        raise UsageError(f"{file}: cannot be read ({error.strerror}). A campaign is a {CAMPAIGN_FILE}.") from None
+    return validate(tree, str(file), CampaignSettings), file
