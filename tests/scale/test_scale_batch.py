@@ -15,7 +15,7 @@ import pytest
 from campaign_runs import NAMES, rows_of
 
 import midspan
-from midspan.errors import DataError, UsageError
+from midspan.errors import UsageError
 from midspan.scale.runners import Died, LocalRunner, ProcessRunner
 
 
@@ -135,7 +135,7 @@ def test_wrong_campaigns_are_refused_in_words(tmp_path):
     with pytest.raises(UsageError, match="must name recordings or a table"):
         midspan.batch(tmp_path)
     (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["*", "none"]\noutput = "results"\n')
-    with pytest.raises(DataError, match=r"none: has no recording\.toml"):
+    with pytest.raises(UsageError, match=r"none: has no recording\.toml"):
         midspan.batch(tmp_path)
     (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["none*"]\noutput = "results"\nmethod = "magic"\n')
     with pytest.raises(UsageError, match="must be one of smoother"):
