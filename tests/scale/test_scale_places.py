@@ -120,7 +120,7 @@ def test_a_wrong_campaign_ends_at_once_with_a_sentence(command, text, campaign, 
 
 
 def test_a_recording_is_no_output_and_a_missing_file_no_campaign(campaign):
-    with pytest.raises(UsageError, match="is a recording"):
+    with pytest.raises(UsageError, match="is the folder of a recording"):
         midspan.batch(campaign, output=campaign / NAMES[0])
     with pytest.raises(UsageError, match="not a URL"):
         midspan.batch(campaign, output="s3://bucket/results")

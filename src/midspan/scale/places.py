@@ -42,7 +42,7 @@ def folder_name(name: str) -> str:
 def take(output: Path, campaign_file: Path) -> None:
     """Make the folder of a campaign's results and say there whose it is; UsageError where it is another's."""
     if (output / RECORDING_FILE).exists():
-        raise UsageError(f"{output}: is a recording, beside whose files no results go. Choose another output.")
+        raise UsageError(f"{output}: is the folder of a recording. Choose another output.")
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
