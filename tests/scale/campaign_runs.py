@@ -10,6 +10,8 @@ from pathlib import Path
 import pandas as pd
 
 COUNT = 6
+# Those of a campaign in two folders.
+NAMES = ("2026-01/a", "2026-01/b", "2026-02/a")
 # A command starts, and a worker has done a recording, within this on a busy machine, s.
 PATIENCE_S = 120.0
 WITHOUT_TASKS = ("ray::DashboardAgent", "ray::RuntimeEnvAgent", "default_worker.py")
@@ -51,6 +53,11 @@ class Campaign:
         done = {path.stem for path in (self.results / "done").glob("*.json")}
         assert done <= {part.parent.name.removeprefix("recording=") for part in parts}
         return len(parts)
+
+
+def rows_of(folder: Path) -> pd.DataFrame:
+    """The rows of the campaign of a folder."""
+    return pd.read_parquet(folder / "results" / "rows")
 
 
 def summary_of(campaign: Campaign) -> pd.DataFrame:

@@ -1,11 +1,12 @@
 """Campaigns of short recordings and a cluster of Ray."""
 
+import shutil
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from campaign_runs import Campaign
+from campaign_runs import NAMES, Campaign
 
 from midspan.simulate.scenarios.write import write
 
@@ -30,6 +31,15 @@ def undisturbed(recording, tmp_path_factory) -> Campaign:
 def short_campaign(recording, tmp_path) -> Campaign:
     """The same campaign, to be run."""
     return Campaign(tmp_path, recording)
+
+
+@pytest.fixture
+def campaign(recording, tmp_path) -> Path:
+    """The folder of a campaign of three recordings in two folders."""
+    for name in NAMES:
+        shutil.copytree(recording, tmp_path / name)
+    (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["2026-*/*"]\noutput = "results"\nmethod = "kalman"\n')
+    return tmp_path
 
 
 @pytest.fixture(scope="session")

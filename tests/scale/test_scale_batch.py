@@ -12,24 +12,11 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from campaign_runs import NAMES, rows_of
 
 import midspan
-from midspan.errors import DataError, UsageError
+from midspan.errors import UsageError
 from midspan.scale.runners import Died, LocalRunner, ProcessRunner
-
-NAMES = ("2026-01/a", "2026-01/b", "2026-02/a")
-
-
-@pytest.fixture
-def campaign(recording, tmp_path):
-    for name in NAMES:
-        shutil.copytree(recording, tmp_path / name)
-    (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["2026-*/*"]\noutput = "results"\nmethod = "kalman"\n')
-    return tmp_path
-
-
-def rows_of(folder):
-    return pd.read_parquet(folder / "results" / "rows")
 
 
 def test_a_campaign_gives_the_rows_of_each_estimate(campaign, recording):
@@ -148,7 +135,7 @@ def test_wrong_campaigns_are_refused_in_words(tmp_path):
     with pytest.raises(UsageError, match="must name recordings or a table"):
         midspan.batch(tmp_path)
     (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["*", "none"]\noutput = "results"\n')
-    with pytest.raises(DataError, match=r"none: has no recording\.toml"):
+    with pytest.raises(UsageError, match=r"none: has no recording\.toml"):
         midspan.batch(tmp_path)
     (tmp_path / "CAMPAIGN.toml").write_text('recordings = ["none*"]\noutput = "results"\nmethod = "magic"\n')
     with pytest.raises(UsageError, match="must be one of smoother"):

@@ -135,8 +135,8 @@ def _tasks(folder):
     from midspan.scale.jobs import jobs_of
     from midspan.settings.campaign import load_campaign
 
-    settings, base = load_campaign(folder)
-    return [Task(job, base / settings.output) for job in jobs_of(settings, base)]
+    settings, file = load_campaign(folder)
+    return [Task(job, folder / settings.output) for job in jobs_of(settings, file.parent)[0]]
 
 
 def test_only_long_tables_that_are_smoothed_are_cut(short, tmp_path):

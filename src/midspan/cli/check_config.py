@@ -24,7 +24,8 @@ MAX_COLUMN = 24
 @click.argument("file", type=click.Path())
 @common_options
 def command(file: str, quiet: bool, as_json: bool) -> None:
-    """Validate a recording.toml or a SITE.toml (or its folder) without running it."""
+    """Validate a recording.toml, a SITE.toml or a CAMPAIGN.toml (or its folder) without running it."""
+    from midspan.settings.campaign import is_campaign
     from midspan.settings.keys import recording_sections
     from midspan.settings.load import load_settings, settings_file
     from midspan.settings.site import is_site
@@ -32,6 +33,9 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
     console = Console(quiet, as_json)
     if is_site(file):
         _site(file, console)
+        return
+    if is_campaign(file):
+        _campaign(file, console)
         return
     path, settings = settings_file(file), load_settings(file)
     missing = []
@@ -147,6 +151,21 @@ def _site(file: str, console: Console) -> None:
     console.warn(warnings)
     console.say(_verdict(file, missing))
     console.document({"file": file, "valid": True, "warnings": warnings, "settings": settings})
+
+
+def _campaign(file: str, console: Console) -> None:
+    """A campaign's settings, and what of its recordings is not there."""
+    from midspan.scale.jobs import jobs_of
+    from midspan.settings.campaign import load_campaign
+    from midspan.settings.keys import campaign_sections
+
+    found, path = load_campaign(file)
+    jobs, warnings = jobs_of(found, path.parent)
+    settings = found.model_dump(mode="json", exclude_none=True)
+    console.table(_rows(settings, campaign_sections()))
+    console.warn(warnings)
+    console.say(f"{path}: valid, {len(jobs)} recordings.")
+    console.document({"file": str(path), "valid": True, "warnings": warnings, "settings": settings})
 
 
 def _sensors(plan: "PointPlan") -> dict[str, Any]:

@@ -10,6 +10,9 @@ from midspan.cli.main import COMMANDS
 if TYPE_CHECKING:
     from midspan.settings.keys import Key, KeySection
 
+# A file without sections, as a topic.
+CAMPAIGN = "campaign"
+
 
 @click.command("help")
 @click.argument("topic", required=False)
@@ -20,7 +23,7 @@ def command(topic: str | None, quiet: bool, as_json: bool) -> None:
     Without TOPIC it lists commands and sections.
     """
     from midspan.checks import option
-    from midspan.settings.keys import calibration_sections, recording_sections, site_sections
+    from midspan.settings.keys import calibration_sections, campaign_sections, recording_sections, site_sections
 
     console = Console(quiet, as_json)
     context = click.get_current_context()
@@ -34,18 +37,21 @@ def command(topic: str | None, quiet: bool, as_json: bool) -> None:
     files = {
         "recording.toml": recording_sections(),
         "SITE.toml": site_sections(),
+        "CAMPAIGN.toml": campaign_sections(),
         "calibration.json": calibration_sections(),
     }
     if topic is None:
         console.say(commands.get_help(click.Context(commands, info_name="midspan")))
         for file, sections in files.items():
-            console.say(f"\nSections of {file}:\n  {', '.join(one.name for one in sections if one.name and one.keys)}")
+            names = ", ".join(one.name for one in sections if one.name and one.keys) or f"none; see help {CAMPAIGN}"
+            console.say(f"\nSections of {file}:\n  {names}")
         console.document({"commands": list(COMMANDS), **{file: [one.name for one in files[file]] for file in files}})
         return
     rows = _rows(files, topic.strip("[]"))
     if not rows:
         topics = [
             *COMMANDS,
+            CAMPAIGN,
             *dict.fromkeys(one.name for sections in files.values() for one in sections if one.name and one.keys),
         ]
         option("TOPIC", topic, topics)
@@ -61,7 +67,9 @@ def command(topic: str | None, quiet: bool, as_json: bool) -> None:
 def _rows(files: dict[str, "list[KeySection]"], topic: str) -> "list[tuple[str, KeySection, tuple[Key, ...]]]":
     """The sections of a name, or those with a key of it, named with its section or without; with the keys meant."""
     every = [(file, section) for file, sections in files.items() for section in sections]
-    whole = [(file, section, section.keys) for file, section in every if section.name == topic and section.keys]
+    named = (file for file in files if topic == CAMPAIGN and file.startswith("CAMPAIGN"))
+    whole = [(file, section, section.keys) for file in named for section in files[file]]
+    whole += [(file, section, section.keys) for file, section in every if section.name == topic and section.keys]
     if whole:
         return whole
     keys = [

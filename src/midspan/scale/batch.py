@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from midspan.checks import instance, option, path_of
+from midspan.checks import instance, option, path_of, refuse
 from midspan.errors import MidspanError, UsageError
 from midspan.progress import Progress, silent
 from midspan.scale.jobs import jobs_of
 from midspan.scale.pieces import join, pieces_of, work_piece
+from midspan.scale.places import sweep, take
+from midspan.scale.remote import is_url
 from midspan.scale.runners import RUNNERS, Died
 from midspan.scale.summary import frame_of, write_summary
 from midspan.scale.work import INTERNAL, Cut, Outcome, Task, work
-from midspan.settings.campaign import load_campaign
+from midspan.settings.campaign import NO_URL, load_campaign
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,10 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Campaign:
-    """What came of a campaign: the folder of its results, and the outcomes in the order of their names."""
+    """What came of a campaign: the folder of its results, the outcomes in the order of their names, and warnings, as of
+    results that were removed.
+    """
 
     output: Path
     outcomes: tuple[Outcome, ...]
+    warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         done = sum(not one.exit_code for one in self.outcomes)
@@ -47,29 +52,36 @@ class Campaign:
 
 
 def batch(
-    campaign: str | Path, *, runner: str = "process", workers: int | None = None, progress: Progress = silent
+    campaign: str | Path,
+    *,
+    runner: str = "process",
+    workers: int | None = None,
+    output: str | Path | None = None,
+    progress: Progress = silent,
 ) -> Campaign:
     """Estimate all recordings of a CAMPAIGN.toml (or its folder).
 
     runner: "local" (in this process), "process" (long-lived processes of this machine) or "ray" (a cluster); workers:
-    how many, left out: one a processor. Recordings whose files, choices and version are those of an earlier run are not
-    estimated again. One that fails does not stop the rest: its exit code, as of `midspan estimate`, and message are in
-    the summary. Writes rows/ (a Parquet set partitioned by `recording`) and summary.csv, .parquet and .html to the
-    campaign's output. Raises UsageError or DataError for a campaign that cannot be read.
+    how many, left out: one a processor; output: folder of the results, left out: the campaign's. Recordings whose
+    files, choices and version are those of an earlier run are not estimated again. One that fails does not stop the
+    rest: its exit code, as of `midspan estimate`, and message are in the summary. Writes rows/ (a Parquet set
+    partitioned by `recording`) and summary.csv, .parquet and .html to the output. Raises UsageError for a campaign that
+    cannot be read or names what is not there.
     """
     option("runner", runner, RUNNERS)
     if workers is not None and instance("workers", workers, int, "a whole number") < 1:
         raise UsageError(f"workers: must be at least 1; received {workers}.")
-    settings, folder = load_campaign(path_of("campaign", campaign))
-    if runner == "ray":
-        # A worker of a cluster runs in another folder.
-        folder = folder.absolute()
-    output = folder / settings.output
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{output}: cannot be made ({error.strerror}). Choose another output.") from None
-    tasks = [Task(job, output) for job in jobs_of(settings, folder)]
+    settings, file = load_campaign(path_of("campaign", campaign))
+    # A worker of a cluster runs in another folder.
+    folder = file.parent.absolute() if runner == "ray" else file.parent
+    if output is not None and is_url(str(output)):
+        raise refuse("output", NO_URL, str(output))
+    place = folder / settings.output if output is None else path_of("output", output).absolute()
+    jobs, warnings = jobs_of(settings, folder)
+    take(place, file)
+    if swept := sweep(place, [job.name for job in jobs]):
+        warnings.append(f"{place}: what the campaign does not name any more is removed: {', '.join(swept)}.")
+    tasks = [Task(job, place) for job in jobs]
     shown = _Shown(len(tasks), progress)
     outcomes: list[Outcome | None] = [None] * len(tasks)
     cuts = dict[int, Cut]()
@@ -83,8 +95,8 @@ def batch(
         outcomes[number] = _outcome(tasks[number], result)
         shown.one_more()
     whole = tuple(one for one in outcomes if one is not None)
-    write_summary(output, whole)
-    return Campaign(output, whole)
+    write_summary(place, whole)
+    return Campaign(place, whole, tuple(warnings))
 
 
 def _run(

@@ -1,18 +1,25 @@
 """The recordings of a campaign, one job each: what is estimated, under which name, and what its result depends on."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+import io
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from midspan._version import __version__
+from midspan.checks import refuse
 from midspan.errors import DataError, UsageError
 from midspan.scale.remote import is_url, parts_of, recordings
 from midspan.settings.campaign import CampaignSettings
 from midspan.settings.load import RECORDING_FILE, load_settings
 from midspan.settings.recording import RecordingSettings
+from midspan.settings.stored.calibration import load_calibration
 from midspan.settings.two_files import Choices
+from midspan.trees import read_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Columns of a table's row besides the options of `estimate`.
 ACCELEROMETER, VIDEO = "accelerometer", "video"
@@ -39,64 +46,80 @@ class Job:
     url: str = ""
 
 
-def jobs_of(campaign: CampaignSettings, folder: Path) -> tuple[Job, ...]:
-    """The jobs in the order of their names; UsageError where there is none, or two have one name."""
+def jobs_of(campaign: CampaignSettings, folder: Path) -> tuple[tuple[Job, ...], list[str]]:
+    """The jobs in the order of their names, and a line on each glob without any; UsageError where there is none at all,
+    where what the campaign names is not there, or two have one name.
+    """
     calibration = None if campaign.calibration is None else folder / campaign.calibration
+    if calibration is not None:
+        try:
+            load_calibration(calibration)
+        except DataError as error:
+            raise UsageError(f"calibration: {error}") from None
     more: dict[str, Any] = {"method": campaign.method, "tracker": campaign.tracker, "calibration": calibration}
-    here = [pattern for pattern in campaign.recordings if not is_url(pattern)]
-    jobs = [Job(_name(path, folder), path, **more) for path in _recordings(here, folder)]
-    urls = [url for pattern in campaign.recordings if is_url(pattern) for url in recordings(pattern)]
-    jobs += [Job(url, Path(RECORDING_FILE), url=url, **more) for url in dict.fromkeys(urls)]
+    found: dict[str, list[Any]] = {
+        one: recordings(one) if is_url(one) else _recordings(one, folder) for one in campaign.recordings
+    }
+    every = dict.fromkeys(one for matches in found.values() for one in matches)
+    jobs = [Job(_name(path, folder), path, **more) for path in every if isinstance(path, Path)]
+    jobs += [Job(url, Path(RECORDING_FILE), url=url, **more) for url in every if isinstance(url, str)]
     if campaign.table is not None:
         jobs += [Job(**{**more, **row}) for row in _rows(folder / campaign.table, folder)]
     if not jobs:
         named = ", ".join(campaign.recordings) or campaign.table
-        raise DataError(f"{folder}: no recording matches {named}. A recording is a folder with a {RECORDING_FILE}.")
+        raise UsageError(f"{folder}: no recording matches {named}. A recording is a folder with a {RECORDING_FILE}.")
     names = [job.name for job in jobs]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UsageError(f"The campaign names {', '.join(twice)} twice. Name each recording once.")
-    return tuple(sorted(jobs, key=lambda job: job.name))
+    warnings = [f"{pattern!r} in recordings matches no recording." for pattern, matches in found.items() if not matches]
+    return tuple(sorted(jobs, key=lambda job: job.name)), warnings
 
 
-def _recordings(patterns: Sequence[str], folder: Path) -> Iterator[Path]:
-    """The recording.toml of globs and folders, each once; DataError where a name that is no glob has none."""
-    for pattern in patterns:
-        path = folder / pattern
-        if not any(sign in pattern for sign in SIGNS) and not (path.is_file() or (path / RECORDING_FILE).is_file()):
-            raise DataError(f"{path}: has no {RECORDING_FILE}. Correct the name in the campaign, or remove it.")
-    found = dict.fromkeys(
-        path / RECORDING_FILE if path.is_dir() else path
-        for pattern in patterns
-        for path in (sorted(folder.glob(pattern)) if not Path(pattern).is_absolute() else [Path(pattern)])
-    )
-    yield from (path for path in found if path.name == RECORDING_FILE and path.is_file())
+def _recordings(pattern: str, folder: Path) -> list[Path]:
+    """Each recording.toml of a glob or a folder; UsageError where a name that is no glob has none."""
+    path = folder / pattern
+    is_glob = any(sign in pattern for sign in SIGNS)
+    if not is_glob and not (path.is_file() or (path / RECORDING_FILE).is_file()):
+        raise UsageError(f"{path}: has no {RECORDING_FILE}. Correct the name in the campaign, or remove it.")
+    matches = sorted(folder.glob(pattern)) if is_glob and not Path(pattern).is_absolute() else [path]
+    files = [one / RECORDING_FILE if one.is_dir() else one for one in matches]
+    return [one for one in files if one.name == RECORDING_FILE and one.is_file()]
 
 
 def _name(path: Path, folder: Path) -> str:
     """A recording's folder relative to the campaign."""
     own = path.parent.resolve()
     base = folder.resolve()
-    return own.relative_to(base).as_posix() if own.is_relative_to(base) else own.as_posix()
+    return utf8(own.relative_to(base).as_posix() if own.is_relative_to(base) else own.as_posix())
+
+
+def is_utf8(name: str) -> bool:
+    """Whether a name from a file system is text."""
+    return utf8(name) == name
+
+
+def utf8(name: str) -> str:
+    """The name with what is no text as \\uNNNN."""
+    return name.encode(errors="backslashreplace").decode()
 
 
 def _rows(table: Path, folder: Path) -> Iterator[dict[str, Any]]:
     """Name, files and choices of each row of a table."""
     import pandas as pd
 
-    try:
-        frame = pd.read_parquet(table) if table.suffix.lower() == ".parquet" else pd.read_csv(table, dtype=str)
-    except (OSError, ValueError) as error:
-        raise DataError(f"{table}: cannot be read ({error}).") from None
+    frame = _table(table).dropna(how="all")
     options, own = [one.name for one in fields(Choices)], ["method", "tracker"]
     missing = sorted({ACCELEROMETER, VIDEO} - {*frame.columns})
     unknown = sorted({*map(str, frame.columns)} - {ACCELEROMETER, VIDEO, *options, *own})
     if missing or unknown:
         wrong = f"has no column {missing[0]}" if missing else f"has an unknown column {unknown[0]}"
         raise UsageError(f"{table}: {wrong}. Its columns are accelerometer, video, {', '.join([*options, *own])}.")
-    for row in frame.to_dict("records"):
+    for number, row in enumerate(frame.to_dict("records"), start=1):
+        if absent := [key for key in (ACCELEROMETER, VIDEO) if pd.isna(row[key])]:
+            raise UsageError(f"{table}: row {number} has no {absent[0]}. Name a file, or remove the row.")
         chosen = {key: row[key] for key in options if key in row and not pd.isna(row[key])}
         if "rate_hz" in chosen:
-            chosen["rate_hz"] = float(chosen["rate_hz"])
+            chosen["rate_hz"] = _number(chosen["rate_hz"], f"{table}: row {number}: rate_hz")
         second = folder / str(row[VIDEO])
         yield {
             "name": Path(row[VIDEO]).with_suffix("").as_posix(),
@@ -105,6 +128,30 @@ def _rows(table: Path, folder: Path) -> Iterator[dict[str, Any]]:
             "choices": chosen,
             **{key: row[key] for key in own if key in row and not pd.isna(row[key])},
         }
+
+
+def _table(table: Path) -> "pd.DataFrame":
+    """A table with names and texts without blanks around them; of a text the delimiter that its heading has most."""
+    import pandas as pd
+
+    try:
+        if table.suffix.lower() == ".parquet":
+            frame = pd.read_parquet(table)
+        else:
+            text = read_text(table)
+            delimiter = max(",;\t", key=text.partition("\n")[0].count)
+            frame = pd.read_csv(io.StringIO(text), dtype=str, sep=delimiter)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{table}: cannot be read ({getattr(error, 'strerror', None) or error}).") from None
+    frame.columns = [str(name).strip().lower() for name in frame.columns]
+    return frame.map(lambda value: (value.strip() or None) if isinstance(value, str) else value)
+
+
+def _number(value: Any, where: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise refuse(where, "a number with a decimal point", value) from None
 
 
 def files_of(job: Job) -> list[Path]:

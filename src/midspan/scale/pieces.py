@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from midspan.scale.work import Cut, Outcome, codes_of, opened, record, work_whole
+from midspan.sinks.write import write_result
 from midspan.writing import cannot_be_written, replacing_folder, write_whole
 
 if TYPE_CHECKING:
@@ -88,7 +89,10 @@ def work_piece(piece: Piece) -> Done:
     result = with_rows(result, span)
     with cannot_be_written(piece.rows_file):
         piece.rows_file.parent.mkdir(parents=True, exist_ok=True)
-    result.save(piece.rows_file)
+    table = result.table()
+    # Of the piece alone it would say nothing of the recording.
+    del table.metadata["verdict"]
+    write_result(piece.rows_file, table)
     done = Done(len(result.estimate.time_ns), codes_of(result), time.monotonic() - begun_s)
     _keep(piece, ends, done)
     return done

@@ -16,14 +16,17 @@ def is_url(pattern: str) -> bool:
 
 
 def recordings(pattern: str) -> list[str]:
-    """The folders with a recording.toml that a URL matches, as URLs."""
+    """The folders with a recording.toml that a URL matches, as URLs; UsageError where one that is no glob has none."""
     system, path = _opened(pattern)
+    is_glob = any(sign in path for sign in "*?[")
     try:
-        matches = system.glob(path) if any(sign in path for sign in "*?[") else [path]
+        matches = system.glob(path) if is_glob else [path]
         folders = [one.removesuffix(f"/{RECORDING_FILE}") for one in matches]
         kept = [one for one in folders if system.exists(f"{one}/{RECORDING_FILE}")]
     except OSError as error:
-        raise DataError(f"{pattern}: cannot be listed ({error}).") from None
+        raise UsageError(f"{pattern}: cannot be listed ({error}). Correct it in the campaign, or remove it.") from None
+    if not kept and not is_glob:
+        raise UsageError(f"{pattern}: has no {RECORDING_FILE}. Correct it in the campaign, or remove it.")
     return [str(system.unstrip_protocol(one)) for one in dict.fromkeys(kept)]
 
 

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote
 
 from midspan.errors import DataError, MidspanError
 from midspan.scale.confined import require_confined
-from midspan.scale.jobs import SIGNS, Job, key_of
+from midspan.scale.jobs import SIGNS, Job, is_utf8, key_of, utf8
+from midspan.scale.places import DONE, PARTITION, PIECES, ROWS, folder_name
 from midspan.scale.remote import fetched
 from midspan.sources.zipped import is_inside
 from midspan.trees import TreeError, read_json
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from midspan.recording.streams.recording import Recording
     from midspan.settings.stored.calibration import Calibration
 
-ROWS, DONE, PIECES = "rows", "done", "pieces"
 INTERNAL = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """What came of a recording: exit_code as of `midspan estimate`; rows; rmse_mm against its reference, None without
-    one; warnings by code; seconds that it took; message of what went wrong; key: see `key_of`.
+    one; warnings by code; seconds that it took; message of what went wrong; key: see `key_of`; size of its rows' files,
+    bytes.
     """
 
     recording: str
@@ -43,6 +43,7 @@ class Outcome:
     seconds: float = 0.0
     message: str = ""
     key: str = ""
+    size: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +56,26 @@ class Task:
     @property
     def rows_folder(self) -> Path:
         """Where the rows go: a part of a set that is partitioned by `recording`."""
-        return self.output / ROWS / f"recording={quote(self.job.name, safe='')}"
+        return self.output / ROWS / f"{PARTITION}{folder_name(self.job.name)}"
 
     @property
     def rows_file(self) -> Path:
         """The file of the rows; of a recording that was cut there are several."""
         return self.rows_folder / "part.parquet"
 
+    def size(self) -> int:
+        """Bytes of the rows on the disk."""
+        return sum(part.stat().st_size for part in self.rows_folder.glob("part*.parquet"))
+
     @property
     def pieces_folder(self) -> Path:
         """Where the pieces of a long recording go until all are there."""
-        return self.output / PIECES / quote(self.job.name, safe="")
+        return self.output / PIECES / folder_name(self.job.name)
 
     @property
     def done_file(self) -> Path:
         """Where the outcome goes, after the rows."""
-        return self.output / DONE / f"{quote(self.job.name, safe='')}.json"
+        return self.output / DONE / f"{folder_name(self.job.name)}.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +99,9 @@ def finished(task: Task, key: str) -> Outcome | None:
     try:
         tree = read_json(task.done_file)
         known = Outcome(**tree)
+        whole = known.key == key and known.size == task.size() and (known.size > 0 or known.exit_code != 0)
     except (OSError, TreeError, TypeError):
         return None
-    whole = known.key == key and (known.exit_code != 0 or any(task.rows_folder.glob("part*.parquet")))
     return known if whole and known.exit_code != INTERNAL else None
 
 
@@ -108,6 +113,8 @@ def work(task: Task) -> Outcome | Cut:
     """
     begun_s, key = time.monotonic(), ""
     try:
+        if not is_utf8(str(task.job.path)):
+            raise DataError(f"{task.job.name}: its name is not in UTF-8. Rename the folder.")
         key = key_of(task.job)
         if (known := finished(task, key)) is not None:
             return known
@@ -138,9 +145,10 @@ def failed(task: Task, key: str, error: Exception) -> Outcome:
     by the next run.
     """
     shutil.rmtree(task.rows_folder, ignore_errors=True)
+    text = utf8(" ".join(str(error).split()))
     if isinstance(error, MidspanError):
-        return Outcome(task.job.name, error.exit_code, message=" ".join(str(error).split()), key=key)
-    return Outcome(task.job.name, INTERNAL, message=f"internal error ({type(error).__name__}: {error})")
+        return Outcome(task.job.name, error.exit_code, message=text, key=key)
+    return Outcome(task.job.name, INTERNAL, message=f"internal error ({type(error).__name__}: {text})")
 
 
 def written(task: Task, key: str, result: "Result", rmse_mm: float | None) -> Outcome:
@@ -157,8 +165,8 @@ def written(task: Task, key: str, result: "Result", rmse_mm: float | None) -> Ou
 
 def record(task: Task, outcome: Outcome, begun_s: float) -> Outcome:
     """Write what came of a task that was begun then (of `time.monotonic`)."""
-    outcome = replace(outcome, seconds=time.monotonic() - begun_s)
     with cannot_be_written(task.done_file):
+        outcome = replace(outcome, seconds=time.monotonic() - begun_s, size=task.size())
         task.done_file.parent.mkdir(parents=True, exist_ok=True)
     write_whole(task.done_file, json.dumps(asdict(outcome), ensure_ascii=False).encode())
     return outcome
@@ -176,7 +184,11 @@ def _at_hand(job: Job) -> Iterator[Job]:
         yield job
         return
     with fetched(job.url) as path:
-        yield replace(job, path=path, url="")
+        try:
+            yield replace(job, path=path, url="")
+        except MidspanError as error:
+            error.args = (str(error).replace(str(path.parent), job.url),)
+            raise
 
 
 def opened(job: Job) -> "Recording":

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel
 from pydantic.fields import FieldInfo
 
 from midspan.settings.alarms import AlarmSettings
+from midspan.settings.campaign import CampaignSettings
 from midspan.settings.fields import Form, OneOf, Within
 from midspan.settings.group import GroupSettings
 from midspan.settings.kinds import ACCELEROMETER, LIVE
@@ -77,6 +78,11 @@ def site_sections() -> list[KeySection]:
         KeySection("point.alarm", _summary(AlarmSettings), _keys(AlarmSettings), many=True),
         KeySection("group", _summary(GroupSettings), _keys(GroupSettings), many=True),
     ]
+
+
+def campaign_sections() -> list[KeySection]:
+    """That of CAMPAIGN.toml."""
+    return list(_sections(CampaignSettings))
 
 
 def calibration_sections() -> list[KeySection]:

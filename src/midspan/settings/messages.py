@@ -37,7 +37,7 @@ def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
     key = key or "settings"
     if kind == "extra_forbidden":
         known = _keys_at([str(part) for part in place[:-1] if not isinstance(part, int)], model)
-        if len(place) == 1:
+        if len(place) == 1 and "name" in known:
             known = [name for name in known if name != "name"] if _is_section(value) else ["name"]
         return unknown(key, value, known)
     if kind == "too_long" or (kind == "missing" and isinstance(last, int)):
