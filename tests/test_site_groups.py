@@ -3,7 +3,7 @@
 import pytest
 
 from midspan.errors import UsageError
-from midspan.settings.group import topics_of
+from midspan.settings.group import groups_of, topics_of
 from midspan.settings.site import load_site
 
 HEAD = """
@@ -115,3 +115,10 @@ def test_a_point_may_have_a_name_like_one_of_a_group(tmp_path, monkeypatch):
 def test_elsewhere_the_number_is_a_variable_like_others(tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="environment variable i, which is not set"):
         loaded(tmp_path, monkeypatch, HEAD.replace("river", "{i}") + MQTT + GROUP)
+
+
+def test_an_unknown_key_of_a_group_names_its_keys():
+    tree = {"name": "n", "points": 1, "accelerometer": "mqtt:a/{i}", "displacement": "mqtt:b/{i}", "method": "kalman"}
+    noise = {"accelerometer_noise_std": 1.0, "displacement_noise_std": 1.0}
+    with pytest.raises(UsageError, match=r"method: is not a known key\. .*displacement_unit"):
+        groups_of([{**tree, **noise}], "SITE.toml")

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from midspan.errors import UsageError
 from midspan.scale import fleet_processes, pulse
-from midspan.scale.fleet import Fleet, ShardState, fleet_file, read_fleet, watch
+from midspan.scale.fleet import Fleet, ShardState, driver_lock, fleet_file, read_fleet, watch
 from midspan.scale.fleet_processes import ShardProcess
 from midspan.scale.fleet_status import asked
 from midspan.scale.pulse import Pauses, Pulse
@@ -141,3 +142,11 @@ def test_a_shard_that_does_not_answer_is_not_ready():
     ready, text = asked("127.0.0.1:1", tls=False)
     assert not ready
     assert "no answer" in text
+
+
+def test_a_site_has_one_driver_at_a_time(tmp_path):
+    first = driver_lock(tmp_path / "SITE.toml")
+    with pytest.raises(UsageError, match="another `midspan fleet`"):
+        driver_lock(tmp_path / "SITE.toml")
+    first.close()
+    driver_lock(tmp_path / "SITE.toml").close()

@@ -30,7 +30,7 @@ def command(
     """
     from dataclasses import asdict
 
-    from midspan.scale.fleet import read_fleet
+    from midspan.scale.fleet import driver_lock, read_fleet
     from midspan.settings.shard import shard_of, usual_shards
     from midspan.settings.site import Shard, load_site
 
@@ -42,14 +42,17 @@ def command(
         reports = _reports(whole, shards)
         for one in reports:
             state = "ready" if one.ready else "not ready"
-            again = "" if not one.restarts else f", started again {one.restarts} times"
+            again = "" if not one.restarts else f", restarts: {one.restarts}"
             console.say(f"  shard {one.shard}  {one.address}  {state}{again}  {one.text}".rstrip())
         console.document({"shards": [asdict(one) for one in reports]})
         return 0 if all(one.ready for one in reports) else 3
     shards = count or usual_shards(whole)
     for number in range(1, shards + 1):
         shard_of(whole, Shard(number, shards))
+    lock = driver_lock(whole.file)
     last = _run(whole, shards, runner, for_s, console)
+    if lock is not None:
+        lock.close()
     console.document(last)
     return 0
 

@@ -39,7 +39,8 @@ def command(site: str, for_s: float | None, serve: bool, shard: str | None, quie
 
     def say(line: str) -> None:
         """A line of the log for people, with its time (UTC)."""
-        console.say(f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {line}")
+        who = "" if shard is None else f"shard {shard}: "
+        console.say(f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ} {who}{line}")
 
     async def main() -> dict[str, object]:
         supervisor = Supervisor(

@@ -9,9 +9,10 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Protocol
 
-from midspan.errors import MidspanError
+from midspan.errors import MidspanError, UsageError
+from midspan.store.database import lock_file
 from midspan.trees import TreeError, read_json
 from midspan.writing import write_whole
 
@@ -57,6 +58,20 @@ class Fleet:
 def fleet_file(site_file: Path) -> Path:
     """Where a driver says how its shards stand."""
     return site_file.with_name(f".{site_file.name}.fleet")
+
+
+def driver_lock(site_file: Path) -> IO[bytes] | None:
+    """What one driver of a site has while it runs, None in a folder that cannot be written.
+
+    Raises UsageError where another driver runs.
+    """
+    try:
+        lock = lock_file(fleet_file(site_file).with_suffix(".lock"))
+    except OSError:
+        return None
+    if lock is None:
+        raise UsageError(f"{site_file}: another `midspan fleet` runs its shards. Stop that one first.")
+    return lock
 
 
 def read_fleet(site_file: Path) -> Fleet | None:

@@ -37,8 +37,10 @@ def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
     key = key or "settings"
     if kind == "extra_forbidden":
         known = _keys_at([str(part) for part in place[:-1] if not isinstance(part, int)], model)
-        if len(place) == 1 and "name" in known:
-            known = [name for name in known if name != "name"] if _is_section(value) else ["name"]
+        if len(place) == 1:
+            # Keys of a whole file are not what a section may be named, and the other way round.
+            of_its_kind = [name for name in known if _has_sections(_field(model, name)) == _is_section(value)]
+            known = of_its_kind or known
         return unknown(key, value, known)
     if kind == "too_long" or (kind == "missing" and isinstance(last, int)):
         return f"{key}: must have {4 if key.endswith('roi') else 2} numbers; received {shown(list(value))}."
@@ -75,6 +77,16 @@ def unknown(key: str, value: Any, known: Sequence[str]) -> str:
 
 def _is_section(value: Any) -> bool:
     return isinstance(value, dict) or (isinstance(value, list) and any(isinstance(one, dict) for one in value))
+
+
+def _field(model: Any, name: str) -> Any:
+    """What a key of a model holds."""
+    return next(field.annotation for key, field in model.model_fields.items() if name == (field.alias or key))
+
+
+def _has_sections(annotation: Any) -> bool:
+    """Whether a key holds a section, or a list of them."""
+    return hasattr(annotation, "model_fields") or any(map(_has_sections, getattr(annotation, "__args__", ())))
 
 
 def _keys_at(place: list[str], model: Any) -> list[str]:
