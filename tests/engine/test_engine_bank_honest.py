@@ -44,6 +44,19 @@ def frozen(record, _):
     record.displacement_m[1000:1400] = record.displacement_m[1000]
 
 
+def zeros(record, _):
+    """Far from zero, the displacement sensor gives zeros for 20 s."""
+    record.displacement_m += 0.03
+    record.truth_m += 0.03
+    record.displacement_m[1000:1200] = 0.0
+
+
+def many_outliers(record, rng):
+    """Three in ten measurements of 20 s are 10 to 80 mm too large."""
+    which = np.flatnonzero(rng.random(200) < 0.3) + 1000
+    record.displacement_m[which] += rng.uniform(0.01, 0.08, len(which))
+
+
 def shifted(record, _):
     """The displacement sensor's zero shifts by 8 mm for good."""
     record.displacement_m[1500:] += 0.008
@@ -64,6 +77,8 @@ CASES = {
     "spikes": (Sensors(), spikes, 0.93, 20.0),
     "missing": (Sensors(), missing, 0.93, 1.5),
     "frozen": (Sensors(), frozen, 0.90, 3.0),
+    "zeros": (Sensors(), zeros, 0.93, 3.0),
+    "many outliers": (Sensors(), many_outliers, 0.93, 10.0),
     "1 Hz": (Sensors(displacement_hz=1.0), None, 0.93, 4.0),
 }
 
