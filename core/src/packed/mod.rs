@@ -27,18 +27,6 @@ pub enum Fault {
     Runs,
 }
 
-impl Fault {
-    /// In a few words.
-    pub fn text(self) -> &'static str {
-        match self {
-            Self::Length => "bytes are missing or too many",
-            Self::Checksum => "a check sum is wrong",
-            Self::Number => "a number is out of its range",
-            Self::Runs => "runs and columns do not fit each other",
-        }
-    }
-}
-
 /// Runs of evenly timed rows: run j has count[j] rows of point[j] with status[j], at t0_ns[j] and every dt_ns[j] after;
 /// the columns hold the rows of all runs, one after another.
 #[derive(Clone, Debug, Default, PartialEq)]

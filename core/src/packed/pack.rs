@@ -7,7 +7,7 @@ use super::{Fault, Rows, RowsRef};
 
 /// How a pack begins; then the index's check sum and length, the index (number of points, of each the steps from the
 /// point before, and the length of its parts), and the parts.
-pub const MAGIC: [u8; 4] = *b"mg\x01\0";
+pub const MAGIC: [u8; 4] = [b'm', b'g', 1, 0];
 
 /// The parts of each point, by its number.
 type Areas<'a> = Vec<(u32, &'a [u8])>;

@@ -8,7 +8,12 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 fn error(fault: Fault) -> PyErr {
-    PyValueError::new_err(fault.text())
+    PyValueError::new_err(match fault {
+        Fault::Length => "bytes are missing or too many",
+        Fault::Checksum => "a check sum is wrong",
+        Fault::Number => "a number is out of its range",
+        Fault::Runs => "runs and columns do not fit each other",
+    })
 }
 
 /// Runs (k,) and their rows (n,) as a pack.
