@@ -222,6 +222,21 @@ def test_what_waits_is_bounded():
     assert len(bank.state()) < 150_000
 
 
+def test_displacements_without_accelerations_do_not_pile_up():
+    bank, parts = Bank(1, SETTINGS), list(seconds_of(measured(*motion(20, 12), 12)))
+    for now_ns, both in parts:
+        for one in both:
+            bank.push(one)
+        bank.rows(now_ns)
+    displacement, first_ns = parts[-1][1][1], parts[-1][1][1].t0_ns.copy()
+    for second in range(1, 600):
+        bank.push(replace(displacement, t0_ns=first_ns + second * 10**9))
+        bank.rows(int(first_ns[0]) + (second + 1) * 10**9)
+    # Of 33 s at 10 Hz: stamp, step and value of each.
+    assert len(bank.state()) < 33 * 10 * 24 + 600
+    assert bank.events() == []
+
+
 def test_a_point_needs_no_more_than_256_bytes_besides_what_waits():
     assert len(Bank(1000, SETTINGS).state()) < 1000 * 260
 

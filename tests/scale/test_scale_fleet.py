@@ -150,3 +150,12 @@ def test_a_site_has_one_driver_at_a_time(tmp_path):
         driver_lock(tmp_path / "SITE.toml")
     first.close()
     driver_lock(tmp_path / "SITE.toml").close()
+
+
+def test_a_shard_that_cannot_be_started_is_tried_again(monkeypatch):
+    monkeypatch.setattr(pulse, "FIRST_PAUSE_S", 0.05)
+    shard = ShardProcess(1, ["no-such-program"])
+    state = looked(shard, lambda one: one.restarts == 2)
+    assert "could not be started" in state.text
+    assert state.pid is None
+    shard.end(0.0)

@@ -2,6 +2,7 @@
 
 import asyncio
 import struct
+import threading
 from contextlib import closing
 from dataclasses import replace
 
@@ -189,7 +190,9 @@ def test_messages_that_are_no_blocks_are_one_event_a_minute():
         events += group.second((BEGIN_S + second) * NANOSECONDS).events
     assert [one[0] for one in events] == ["north"] * 3
     assert [event.kind for _, event in events] == ["payload"] * 3
-    assert events[1][1].text.startswith(f"north: {60 * POINTS} messages could not be used, such as: a block must be")
+    assert events[1][1].text.startswith(
+        f"north: blocks that could not be used whole: {60 * POINTS}, such as: a block must be"
+    )
     assert group.faults == 121 * POINTS
 
 
@@ -197,16 +200,57 @@ def test_what_came_may_be_acknowledged_and_what_waits_is_bounded(monkeypatch):
     group = Group.begun(plan())
     assert len(fed(group, range(1))[0].receipts) == 2 * POINTS
     monkeypatch.setattr("midspan.service.group.MAX_WAITING_BYTES", 10)
+    monkeypatch.setattr("midspan.service.group.ROOM_WAIT_S", 0.0)
     assert group.inboxes[0].put(0, b"x" * 10, (1, 1))
-    assert not group.inboxes[0].put(0, b"x", (1, 2))
-    assert group.second(BEGIN_S * NANOSECONDS).receipts == [(1, 1)]
+    # Both sensors have one room.
+    assert not group.inboxes[1].put(0, b"x", (1, 2))
+    given = group.second(BEGIN_S * NANOSECONDS)
+    assert given.receipts == [(1, 1)]
+    assert {event.kind for _, event in given.events} == {"overflow", "payload"}
     assert group.inboxes[0].put(0, b"x" * 10, (1, 1))
+
+
+def test_a_message_waits_until_there_is_room(monkeypatch):
+    monkeypatch.setattr("midspan.service.group.MAX_WAITING_BYTES", 10)
+    group = Group.begun(plan())
+    assert group.inboxes[0].put(0, b"x" * 10, (1, 1))
+    reader = threading.Timer(0.2, lambda: group.second(BEGIN_S * NANOSECONDS))
+    reader.start()
+    assert group.inboxes[1].put(0, b"x" * 10, (1, 2))
+    reader.join()
+
+
+def test_what_came_is_filtered_in_parts_with_both_sensors_in_step(monkeypatch):
+    monkeypatch.setattr("midspan.service.group.MAX_TAKEN_BYTES", 20_000)
+    group, seconds, found = Group.begun(plan()), range(60), []
+    for number, (topic, payload) in enumerate(message for second in seconds for message in messages(second)):
+        inbox, place = group.topics[topic]
+        inbox.put(place, payload, (1, number + 1))
+    while (given := group.second((BEGIN_S + 61) * NANOSECONDS)).receipts:
+        found.append(given.rows)
+    assert len(found) > 10
+    assert_same(by_point(found), by_point([one.rows for one in fed(Group.begun(plan()), seconds)]))
+
+
+def test_blocks_that_come_late_are_counted_once_a_minute():
+    group = Group.begun(plan())
+    fed(group, range(8))
+    events = [event for one in fed(group, [2, 3, 4]) for _, event in one.events]
+    assert [event.kind for event in events] == ["late"]
+
+
+def test_messages_are_not_acknowledged_while_the_store_is_away_as_long_as_the_broker_holds_them(monkeypatch):
+    groups = Groups(lambda batch: None, print)
+    groups._receipts = [(1, number) for number in range(50_003)]
+    assert groups.receipts(kept=False) == [(1, 0), (1, 1), (1, 2)]
+    assert groups.receipts(kept=False) == []
+    assert len(groups.receipts(kept=True)) == 50_000
 
 
 def test_a_message_of_many_points_may_be_longer():
     assert max_bytes_of([]) == 1_000_000
     many = GroupPlan(plan().settings.model_copy(update={"points": 100_000}), range(100_000))
-    assert max_bytes_of([plan(), many]) == 100_000_000
+    assert max_bytes_of([plan(), many]) == 100_070_000
 
 
 def rows_of(point, t0_ns, count, status, values):
@@ -294,7 +338,7 @@ def test_rows_and_state_are_kept_together_and_come_back(tmp_path):
                 inbox, place = groups.inboxes[topic]
                 inbox.put(place, payload, (1, 1))
             groups.second((BEGIN_S + second + 1) * NANOSECONDS, None)
-        assert len(groups.receipts()) == 5 * 2 * POINTS
+        assert len(groups.receipts(kept=True)) == 5 * 2 * POINTS
         for batch in kept[:4]:
             store.write(batch)
     # The last second was not kept: it comes again.

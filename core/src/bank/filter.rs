@@ -29,7 +29,7 @@ const SHIFTED: i8 = 4;
 /// A value that was measured this many times in a row is no measurement any more.
 const FROZEN: u8 = 10;
 /// Rows end this long after a point was lost, s; what is begun anew after that long.
-const ROWS_LOST_S: f64 = 30.0;
+pub const ROWS_LOST_S: f64 = 30.0;
 /// Where nothing was measured for longer, what the acceleration's gap hid can be anything: the filter begins anew, s.
 const BRIDGED_S: f64 = 3.0;
 /// Ages in intervals of the displacement sensor from which on rows are coasting and lost.

@@ -10,7 +10,7 @@ pub mod rows;
 pub mod settings;
 
 use events::{Code, Event};
-use filter::Filter;
+use filter::{Filter, ROWS_LOST_S};
 use queue::{Queue, Reading, is_hole};
 use rows::Rows;
 use serde::{Deserialize, Serialize};
@@ -181,6 +181,11 @@ impl Point {
 
     fn run(&mut self, number: u32, until_ns: i64, settings: &Settings, rows: &mut Rows, happened: &mut Vec<Event>) {
         let past_ns = until_ns.saturating_sub((settings.wait_s * 1e9) as i64);
+        if self.samples.is_empty() {
+            // After so long without samples the filter begins anew: what was measured until then says nothing.
+            let forgotten_ns = past_ns.saturating_sub((ROWS_LOST_S * 1e9) as i64);
+            while self.measurements.take(forgotten_ns).is_some() {}
+        }
         let mut reach_ns = None;
         while let Some(&sample) = self.samples.first() {
             let stamp = self.filter.stamp_of(sample.time_ns);

@@ -101,8 +101,10 @@ def watch(
             if stopped(LOOK_S):
                 return fleet
     finally:
-        shards.stop()
-        fleet_file(site_file).unlink(missing_ok=True)
+        try:
+            shards.stop()
+        finally:
+            fleet_file(site_file).unlink(missing_ok=True)
 
 
 def _keep(fleet: Fleet, site_file: Path, say: Callable[[str], None]) -> None:

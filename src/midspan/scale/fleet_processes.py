@@ -59,10 +59,13 @@ class ShardProcess:
         self._pauses.begun()
         self._restarts += 1
         # A signal of the terminal is for the driver, which ends all of them. Standard output is its own.
-        self._process = subprocess.Popen(
-            self._command, env={**os.environ, "NOTIFY_SOCKET": self._pulse.address}, stdin=subprocess.DEVNULL,
-            stdout=2, start_new_session=True, preexec_fn=_ending_with(os.getpid()),
-        )  # fmt: skip
+        try:
+            self._process = subprocess.Popen(
+                self._command, env={**os.environ, "NOTIFY_SOCKET": self._pulse.address}, stdin=subprocess.DEVNULL,
+                stdout=2, start_new_session=True, preexec_fn=_ending_with(os.getpid()),
+            )  # fmt: skip
+        except OSError as error:
+            self._ended(f"it could not be started ({error.strerror})")
 
     def _ended(self, why: str) -> None:
         pause_s = self._pauses.ended()

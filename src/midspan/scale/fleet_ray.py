@@ -12,9 +12,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from midspan.errors import UsageError
-from midspan.scale.fleet import ShardState
+from midspan.scale.fleet import LOOK_S, ShardState
 from midspan.scale.pulse import SILENT_S, Pauses, Pulse
+from midspan.scale.ray_cluster import RayCluster
 
 NAMESPACE = "midspan"
 # What Ray counts for a shard: thousands of points without camera take less than half a processor.
@@ -74,52 +74,56 @@ class ShardActor:
                 os._exit(1)
 
 
-LOOK_S = 1.0
-
-
 class RayShards:
     """All shards of a site; name: of the site, under which its actors are found."""
 
     def __init__(self, work: Work, site_file: str, name: str, count: int) -> None:
-        try:
-            import ray
-        except ImportError:
-            text = 'runner ray: Ray is not installed. Install it with `pip install "midspan[ray]"`.'
-            raise UsageError(text) from None
-        self._ray, self._work, self._site_file, self._name, self._count = ray, work, site_file, name, count
-        self._own = not ray.is_initialized()
-        if self._own:
-            address = os.environ.get("RAY_ADDRESS")
-            size: dict[str, Any] = {"address": address} if address else {"num_cpus": max(os.cpu_count() or 1, count)}
-            ray.init(namespace=NAMESPACE, include_dashboard=False, log_to_driver=False, configure_logging=False, **size)
+        self._cluster = RayCluster(max(os.cpu_count() or 1, count), namespace=NAMESPACE)
+        self._ray, self._work, self._site_file, self._name, self._count = (
+            self._cluster.ray,
+            work,
+            site_file,
+            name,
+            count,
+        )
         self._lives: dict[int, set[str]] = {k: set() for k in range(1, count + 1)}
         self._known = {k: ShardState(k) for k in range(1, count + 1)}
         self._asked: dict[int, tuple[Any, Any, float]] = {}
+        self._answered_s = dict.fromkeys(self._known, time.monotonic())
 
     def look(self) -> list[ShardState]:
         """Create those that there are not, ask all how they stand; Ray starts those whose process ended."""
-        for number in range(1, self._count + 1):
-            self._look_at(number)
+        for number in self._known:
+            try:
+                self._look_at(number)
+            except self._ray.exceptions.RayError as error:
+                self._no_answer(number, f"the cluster does not answer ({type(error).__name__})")
         return list(self._known.values())
 
     def stop(self) -> None:
         """End all; what they received is stored."""
-        handles = [self._actor(number) for number in range(1, self._count + 1)]
-        stopping = [handle.stop.remote() for handle in handles]
-        with suppress(self._ray.exceptions.RayError):
-            self._ray.wait(stopping, num_returns=len(stopping), timeout=END_S)
-        for handle in handles:
-            self._ray.kill(handle, no_restart=True)
-        if self._own:
-            self._ray.shutdown()
+        try:
+            with suppress(self._ray.exceptions.RayError):
+                handles = [one for one in map(self._found, self._known) if one is not None]
+                stopping = [handle.stop.remote() for handle in handles]
+                self._ray.wait(stopping, num_returns=len(stopping), timeout=END_S) if stopping else None
+                for handle in handles:
+                    self._ray.kill(handle, no_restart=True)
+        finally:
+            self._cluster.close()
 
     def _look_at(self, number: int) -> None:
         """Take the answer of a shard that was asked before, or ask it."""
         if number not in self._asked:
             handle = self._actor(number)
             self._asked[number] = handle, handle.state.remote(), time.monotonic()
-        _, asked, asked_s = self._asked[number]
+        handle, asked, asked_s = self._asked[number]
         done, _ = self._ray.wait([asked], timeout=0.0)
+        if not done and time.monotonic() - self._answered_s[number] > SILENT_S:
+            self._ray.kill(handle, no_restart=False)
+            self._answered_s[number] = time.monotonic()
+            self._no_answer(number, f"it gave no answer for {SILENT_S:.0f} s and is started again")
+            return
         if not done:
             if time.monotonic() - asked_s > ANSWER_S:
                 self._no_answer(number, "it does not answer")
@@ -130,6 +134,7 @@ class RayShards:
         except self._ray.exceptions.RayError as error:
             self._no_answer(number, f"its actor was lost ({type(error).__name__}) and is started again")
             return
+        self._answered_s[number] = time.monotonic()
         lives = self._lives[number]
         lives.add(found["life"])
         restarts = len(lives) - 1 + found["restarts"]
@@ -141,10 +146,19 @@ class RayShards:
         before = self._known[number]
         self._known[number] = ShardState(number, None, before.restarts, before.host, f"{why}.")
 
+    def _found(self, number: int) -> Any:
+        """The actor of a shard; None where there is none."""
+        try:
+            return self._ray.get_actor(self._actor_name(number), namespace=NAMESPACE)
+        except ValueError:
+            return None
+
+    def _actor_name(self, number: int) -> str:
+        return f"{self._name} {number} of {self._count}"
+
     def _actor(self, number: int) -> Any:
         """The actor of a shard, which is created where there is none."""
-        name = f"{self._name} {number} of {self._count}"
         return self._ray.remote(ShardActor).options(
-            name=name, namespace=NAMESPACE, get_if_exists=True, lifetime="detached", max_restarts=-1,
-            num_cpus=PROCESSORS, max_concurrency=4, scheduling_strategy="SPREAD",
+            name=self._actor_name(number), namespace=NAMESPACE, get_if_exists=True, lifetime="detached",
+            max_restarts=-1, num_cpus=PROCESSORS, max_concurrency=4, scheduling_strategy="SPREAD",
         ).remote(self._work, self._site_file, number, self._count)  # fmt: skip

@@ -14,10 +14,12 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+from zipfile import BadZipFile
 
 import numpy as np
 
-from midspan.scale.work import Cut, Outcome, codes_of, opened, record, work_whole
+from midspan.errors import MidspanError
+from midspan.scale.work import Cut, Outcome, codes_of, failed, opened, record, work_whole
 from midspan.sinks.write import write_result
 from midspan.writing import cannot_be_written, replacing_folder, write_whole
 
@@ -113,7 +115,7 @@ def _finished(piece: Piece) -> "tuple[Done, tuple[Estimate, Estimate]] | None":
         with np.load(piece.seams_file) as file:
             done = Done(**json.loads(str(file["done"])))
             begin, end = (Estimate(*[file[f"{k}-{name}"] for name in Estimate.__dataclass_fields__]) for k in (0, 1))
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
         return None
     return (done, (begin, end)) if piece.rows_file.is_file() else None
 
@@ -131,8 +133,14 @@ def join(cut: Cut) -> Outcome:
         begun_s, done = time.monotonic() - cut.seconds, [one for one, _ in found]
         # A notice of the whole stands in each piece.
         most = {code: max(one.warnings.get(code, 0) for one in done) for one in done for code in sorted(one.warnings)}
-        outcome = Outcome(cut.task.job.name, 0, sum(one.rows for one in done), _rmse_mm(cut, pieces), most, key=cut.key)
-        _publish(cut, pieces)
+        try:
+            rmse_mm = _rmse_mm(cut, pieces)
+        except MidspanError as error:
+            # As of a reference that has no time in common.
+            outcome = failed(cut.task, cut.key, error)
+        else:
+            outcome = Outcome(cut.task.job.name, 0, sum(one.rows for one in done), rmse_mm, most, key=cut.key)
+            _publish(cut, pieces)
         outcome = record(cut.task, outcome, begun_s - sum(one.seconds for one in done))
     shutil.rmtree(cut.task.pieces_folder, ignore_errors=True)
     with suppress(OSError):

@@ -1,12 +1,10 @@
 """Where jobs run: in this process, in processes of this machine, on a cluster. Algorithms know none of them."""
 
 import os
-import secrets
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
-from tempfile import TemporaryDirectory
+from contextlib import suppress
 from types import ModuleType
 from typing import Any, Protocol
 
@@ -16,14 +14,6 @@ from midspan.errors import MidspanError, UsageError
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # A task whose worker died is begun this often at most.
 ATTEMPTS = 2
-# What Ray keeps between tasks, bytes: they take paths and give figures.
-OBJECTS_BYTES = 100_000_000
-# Read by Ray when it is imported; the last one has it listen on loopback, as on other systems.
-OF_THIS_MACHINE = {
-    "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_AUTH_MODE": "token",
-    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
-}
 PRELOADED = ("midspan.recording.estimate", "midspan.evaluate.result_file", "midspan.sinks.parquet", "pyarrow.parquet")
 
 
@@ -114,7 +104,9 @@ def _begun(context: Any, function: Callable[[Any], Any], idle: list[tuple[Any, A
         else:
             return pipe, process
     pipe, process = _started(context, function)
-    pipe.send(task)
+    with suppress(OSError):
+        # One that ended at its start is seen by the end of its pipe.
+        pipe.send(task)
     return pipe, process
 
 
@@ -161,39 +153,16 @@ def _serve(pipe: Any, function: Callable[[Any], Any]) -> None:
 
 
 class RayRunner:
-    """On a cluster of Ray, one processor a task; what a lost worker had is begun again.
-
-    Without RAY_ADDRESS the cluster is this machine, on loopback, with a token of its own, no dashboard and no usage
-    statistics, and its files go at the end.
-    """
+    """On a cluster of Ray, one processor a task; what a lost worker had is begun once more."""
 
     def __init__(self, workers: int | None = None) -> None:
-        self._files, address = ExitStack(), os.environ.get("RAY_ADDRESS")
-        if not address and "ray" not in sys.modules:
-            os.environ |= OF_THIS_MACHINE
-            os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
-        try:
-            import ray
-        except ImportError:
-            text = 'runner ray: Ray is not installed. Install it with `pip install "midspan[ray]"`.'
-            raise UsageError(text) from None
-        self._ray: Any = ray
-        self._own = not self._ray.is_initialized()
-        if self._own:
-            how = {"address": address} if address else self._of_this_machine(workers)
-            self._ray.init(include_dashboard=False, log_to_driver=False, configure_logging=False, **how)
+        from midspan.scale.ray_cluster import RayCluster
 
-    def _of_this_machine(self, workers: int | None) -> dict[str, Any]:
-        return {
-            "num_cpus": workers or os.cpu_count(),
-            "object_store_memory": OBJECTS_BYTES,
-            "_node_ip_address": "127.0.0.1",
-            "_temp_dir": self._files.enter_context(TemporaryDirectory(prefix="midspan-", ignore_cleanup_errors=True)),
-        }
+        self._cluster = RayCluster(workers or os.cpu_count() or 1)
 
     def run(self, function: Callable[[Any], Any], tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         """Run the tasks as processors are free."""
-        ray = self._ray
+        ray = self._cluster.ray
         remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(function)
         numbers = {remote.remote(task): number for number, task in enumerate(tasks)}
         try:
@@ -216,9 +185,7 @@ class RayRunner:
 
     def close(self) -> None:
         """End what this has started."""
-        if self._own:
-            self._ray.shutdown()
-        self._files.close()
+        self._cluster.close()
 
 
 RUNNERS: dict[str, Callable[[int | None], Runner]] = {

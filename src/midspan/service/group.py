@@ -4,6 +4,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,49 +16,90 @@ from midspan.settings.group import NUMBER, GroupPlan, topic_of
 from midspan.sources.live.blocks import MAX_BYTES
 from midspan.sources.live.instants import SourceFault
 
-# Of a sensor of a group this waits at most until it is read, once a second.
-MAX_WAITING_BYTES = 256_000_000
+# Of a group this waits at most; of it so much is filtered at once, once a second: half a minute of 1000 points.
+MAX_WAITING_BYTES, MAX_TAKEN_BYTES = 64_000_000, 16_000_000
+# A message waits so long for room, s: below the time after which the broker takes us for gone.
+ROOM_WAIT_S = 10.0
 # What cannot be used is an event of the group so often, s.
 TELL_AGAIN_S = 60.0
 # What came is filtered in steps of this length: the bank keeps 40 s of 100 Hz of a sensor for the other one.
 SLICE_NS = 8 * NANOSECONDS
 # Of one message of all points at most this many bytes a point: 250 values.
 POINT_BYTES = 1000
+# Besides, of head and topic.
+HEAD_BYTES = 70_000
 # Kind and text of the event that each code of the bank is.
 EVENTS = {
     BankCode.LATE: ("late", "Readings came after the rows that they belong to and are left out."),
-    BankCode.OVERFLOW: ("overflow", "Too many readings wait for the other sensor; the oldest are left out."),
+    BankCode.OVERFLOW: ("overflow", "Too many readings wait for the other sensor; the newest are left out."),
     BankCode.SHIFTED: ("level_shift", "The displacement has shifted for good; the standard deviation includes it."),
     BankCode.LOST: ("lost", "No displacement is accepted any more."),
     BankCode.TRACKING: ("returned", "Displacements are accepted again."),
     BankCode.FROZEN: ("frozen", "The displacement sensor repeats one value, which is left out from now on."),
 }
+# Those that come with each block while they last: they are counted.
+REPEATED = (BankCode.LATE, BankCode.OVERFLOW)
 
 
-class Inbox:
-    """Messages of one sensor of a group that wait to be read. `put` is called from the broker's thread."""
+class Message(NamedTuple):
+    """A message of a sensor (0: acceleration, 1: displacement) of the point at a place of the bank; receipt: what it is
+    acknowledged with.
+    """
 
-    def __init__(self, kind: int, *, shared: bool) -> None:
-        self.kind, self.shared = kind, shared
-        self._waiting = deque[tuple[int, bytes, tuple[int, int]]]()
-        self._bytes, self._counting = 0, threading.Lock()
+    sensor: int
+    place: int
+    payload: bytes
+    receipt: tuple[int, int]
 
-    def put(self, place: int, payload: bytes, receipt: tuple[int, int]) -> bool:
-        """Queue a message of a point's place; receipt: what it is acknowledged with. Whether there was room."""
-        if self._bytes + len(payload) > MAX_WAITING_BYTES:
-            return False
-        with self._counting:
-            self._bytes += len(payload)
-        self._waiting.append((place, payload, receipt))
+
+class Waiting:
+    """Messages of a group in the order in which they came, of both sensors together, so that neither runs ahead.
+
+    `put` is called from the broker's thread, and waits for room: what the broker has meanwhile stays there.
+    """
+
+    def __init__(self) -> None:
+        self._messages = deque[Message]()
+        self._bytes, self._lost, self._changed = 0, 0, threading.Condition()
+
+    def put(self, message: Message) -> bool:
+        """Queue a message; whether there was room in time."""
+        size = len(message.payload)
+        with self._changed:
+            if self._bytes and self._bytes + size > MAX_WAITING_BYTES:
+                self._changed.wait_for(lambda: self._bytes + size <= MAX_WAITING_BYTES, ROOM_WAIT_S)
+            if self._bytes and self._bytes + size > MAX_WAITING_BYTES:
+                self._lost += 1
+                return False
+            self._bytes += size
+            self._messages.append(message)
         return True
 
-    def take(self) -> list[tuple[int, bytes, tuple[int, int]]]:
-        """What waits, in the order in which it came."""
-        waiting = self._waiting
-        taken = [waiting.popleft() for _ in range(len(waiting))]
-        with self._counting:
-            self._bytes -= sum(len(payload) for _, payload, _ in taken)
-        return taken
+    def take(self) -> tuple[list[Message], int]:
+        """The first messages, as many as are filtered at once, and how many were lost since the last time."""
+        taken, size = list[Message](), 0
+        with self._changed:
+            while self._messages and size < MAX_TAKEN_BYTES:
+                taken.append(self._messages.popleft())
+                size += len(taken[-1].payload)
+            lost, self._lost = self._lost, 0
+            self._bytes -= size
+            self._changed.notify_all()
+        return taken, lost
+
+
+@dataclass(frozen=True, slots=True)
+class Inbox:
+    """Where messages of one sensor of a group go; kind: of its blocks, shared: whether one has those of all points."""
+
+    waiting: Waiting
+    sensor: int
+    kind: int
+    shared: bool
+
+    def put(self, place: int, payload: bytes, receipt: tuple[int, int]) -> bool:
+        """See `Waiting.put`."""
+        return self.waiting.put(Message(self.sensor, place, payload, receipt))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +119,10 @@ class Group:
     plan: GroupPlan
     bank: Bank
     kept_ns: int = 0
-    inboxes: tuple[Inbox, Inbox] = field(init=False)
-    standings: Standings = field(init=False)
     # The newest stamp of all blocks that came: points without blocks go on, or end, by that.
     until_ns: int = 0
+    inboxes: tuple[Inbox, Inbox] = field(init=False)
+    standings: Standings = field(init=False)
     messages: int = 0
     faults: int = 0
     _refused: Refusals = field(default_factory=Refusals)
@@ -91,8 +133,8 @@ class Group:
         addresses = (settings.accelerometer, settings.displacement)
         shared = [NUMBER not in one for one in addresses]
         kinds = [OF_ALL[kind] if one else kind for kind, one in zip((1, 2), shared, strict=True)]
-        first, second = (Inbox(kind, shared=one) for kind, one in zip(kinds, shared, strict=True))
-        self.inboxes = (first, second)
+        waiting = Waiting()
+        self.inboxes = Inbox(waiting, 0, kinds[0], shared[0]), Inbox(waiting, 1, kinds[1], shared[1])
         self.standings = Standings(len(self.plan.numbers))
 
     @classmethod
@@ -107,7 +149,7 @@ class Group:
         # A group that has more or fewer points than before begins anew.
         if bank is None or len(bank) != len(plan.numbers):
             return cls(plan, Bank(len(plan.numbers), own))
-        return cls(plan, bank, kept_ns=kept_ns)
+        return cls(plan, bank, kept_ns, kept_ns)
 
     @property
     def topics(self) -> dict[str, tuple[Inbox, int]]:
@@ -125,17 +167,19 @@ class Group:
 
     def second(self, now_ns: int) -> GroupSecond:
         """Filter what came, up to the newest stamp of all blocks."""
-        receipts, came = list[tuple[int, int]](), list[tuple[int, PointBlocks]]()
-        for sensor, inbox in enumerate(self.inboxes):
-            taken = inbox.take()
-            receipts += [receipt for _, _, receipt in taken]
-            for blocks in self._blocks(inbox, taken, now_ns):
-                self.standings.heard(sensor, blocks.point, now_ns / NANOSECONDS)
-                came.append((sensor, blocks))
+        taken, lost = self.inboxes[0].waiting.take()
+        if lost:
+            self._refused.add(SourceFault("overflow", "more came than could be filtered"), lost)
+        came = list[tuple[int, PointBlocks]]()
+        for inbox in self.inboxes:
+            for blocks in self._blocks(inbox, [one for one in taken if one.sensor == inbox.sensor], now_ns):
+                self.standings.heard(inbox.sensor, blocks.point, now_ns / NANOSECONDS)
+                came.append((inbox.sensor, blocks))
         rows = joined([self._filtered(part) for part in _slices(came)])
         self.standings.given(rows, now_ns / NANOSECONDS)
         self.standings.look(now_ns / NANOSECONDS)
-        return GroupSecond(rows, [*self._events(), *self._reports(now_ns)], self.bank.state(), receipts)
+        events = [*self._events(), *self._reports(now_ns)]
+        return GroupSecond(rows, events, self.bank.state(), [one.receipt for one in taken])
 
     def _filtered(self, came: Sequence[tuple[int, PointBlocks]]) -> GroupRows:
         """The rows of blocks by their sensor."""
@@ -145,16 +189,16 @@ class Group:
             self.bank.push(_in_si(sensor, blocks, factors[sensor]))
         return self.bank.rows(self.until_ns)
 
-    def _blocks(self, inbox: Inbox, taken: list[tuple[int, bytes, tuple[int, int]]], now_ns: int) -> list[PointBlocks]:
+    def _blocks(self, inbox: Inbox, taken: Sequence[Message], now_ns: int) -> list[PointBlocks]:
         """Messages as blocks without what cannot be used, which is counted."""
         self.messages += len(taken)
         found = list[PointBlocks]()
         if not inbox.shared:
-            places, payloads = [one[0] for one in taken], [one[1] for one in taken]
+            places, payloads = [one.place for one in taken], [one.payload for one in taken]
             found = of_points(inbox.kind, places, payloads, self._refused)
-        for _, payload, _ in taken if inbox.shared else ():
+        for one in taken if inbox.shared else ():
             try:
-                blocks = of_all(inbox.kind, self.plan.settings.points, self.plan.numbers, payload)
+                blocks = of_all(inbox.kind, self.plan.settings.points, self.plan.numbers, one.payload)
             except SourceFault as fault:
                 self._refused.add(fault)
             else:
@@ -169,7 +213,10 @@ class Group:
                 # The broker brings again what was not acknowledged before a restart.
                 continue
             kind, text = EVENTS[code]
-            found.append((self.name(place), Event(time_ns, kind, text)))
+            if code in REPEATED:
+                self._refused.add(SourceFault(kind, f"{self.name(place)}: {text}"))
+            else:
+                found.append((self.name(place), Event(time_ns, kind, text)))
         return found
 
     def _reports(self, now_ns: int) -> list[tuple[str, Event]]:
@@ -178,8 +225,11 @@ class Group:
             return []
         refused, self._refused, self._reported_s = self._refused, Refusals(), now_ns / NANOSECONDS
         self.faults += refused.count
-        text = f"{self.plan.name}: {refused.count} messages could not be used, such as: "
-        return [(self.plan.name, Event(now_ns, code, text + why)) for code, why in refused.texts.items()]
+        start = f"{self.plan.name}: blocks that could not be used whole: "
+        return [
+            (self.plan.name, Event(now_ns, code, f"{start}{count}, such as: {refused.texts[code]}"))
+            for code, count in refused.counts.items()
+        ]
 
 
 def _slices(came: Sequence[tuple[int, PointBlocks]]) -> list[list[tuple[int, PointBlocks]]]:
@@ -229,4 +279,4 @@ def numbered(rows: GroupRows, numbers: range) -> GroupRows:
 
 def max_bytes_of(plans: Sequence[GroupPlan]) -> int:
     """Bytes of a message at most: more where one has the blocks of all points of a group."""
-    return max([MAX_BYTES, *(POINT_BYTES * plan.settings.points for plan in plans)])
+    return max([MAX_BYTES, *(HEAD_BYTES + POINT_BYTES * plan.settings.points for plan in plans)])

@@ -47,14 +47,19 @@ class PointBlocks:
 
 @dataclass(slots=True)
 class Refusals:
-    """How many messages could not be used, and why the newest of each code."""
+    """How many blocks could not be used, by code, and why the newest of each."""
 
-    count: int = 0
+    counts: dict[str, int] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """How many of all codes."""
+        return sum(self.counts.values())
 
     def add(self, fault: SourceFault, count: int = 1) -> None:
         """Count messages with one fault."""
-        self.count += count
+        self.counts[fault.code] = self.counts.get(fault.code, 0) + count
         self.texts[fault.code] = str(fault)
 
 
@@ -111,7 +116,8 @@ def _read_singly(
             if len(block.values):
                 blocks.append(block)
                 places.append(place)
-    refused.count += max(wrong - 1, 0)
+    if wrong > 1:
+        refused.counts["payload"] += wrong - 1
     if blocks:
         found.append(
             PointBlocks(

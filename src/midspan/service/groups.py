@@ -26,6 +26,8 @@ from midspan.store.store import Batch, Store
 MAX_EVENTS = 20
 # States of points that are retained a second at most; the others follow.
 MAX_STATES = 1000
+# Messages that are not acknowledged while the store is away, at most: below MAX_UNACKNOWLEDGED of the broker.
+MAX_UNKEPT = 50_000
 # Points without good rows that a state names at most; the others are counted.
 MAX_NAMED = 20
 # Rows of points that a viewer looks at are sent for so long after it asked, s, and of this number at most.
@@ -108,9 +110,13 @@ class Groups:
                     broker.publish(topic, payload, qos=1, retain=True)
         return given
 
-    def receipts(self) -> list[tuple[int, int]]:
-        """What may be acknowledged once all that was handed over is kept."""
-        receipts, self._receipts = self._receipts, []
+    def receipts(self, *, kept: bool) -> list[tuple[int, int]]:
+        """What may be acknowledged; kept: whether all that was handed over is. Of what is not kept, the broker holds
+        as much as it may: then it is asked for more.
+        """
+        end = len(self._receipts) - (0 if kept else MAX_UNKEPT)
+        receipts = self._receipts[: max(end, 0)]
+        del self._receipts[: max(end, 0)]
         return receipts
 
     def _results(self, one: Group, rows: GroupRows) -> list[tuple[str, bytes]]:

@@ -11,6 +11,8 @@ from midspan.store.store import Batch, Store, open_store
 
 # Held back at most, in batches of a point and second: an hour of five points. Of groups this many rows are as much.
 MAX_WAITING, GROUP_ROWS = 18_000, 500
+# Displacement, deviation and velocity of a row.
+ROW_BYTES = 24
 
 
 def written_bytes() -> int | None:
@@ -24,7 +26,9 @@ def written_bytes() -> int | None:
 
 def weight(batch: Batch) -> int:
     """What a batch that waits counts for."""
-    return 1 + sum(len(one.rows.std_m) for one in batch.groups) // GROUP_ROWS
+    rows = sum(len(one.rows.std_m) for one in batch.groups)
+    state_bytes = sum(len(one.checkpoint[1]) for one in batch.groups if one.checkpoint is not None)
+    return 1 + (rows + state_bytes // ROW_BYTES) // GROUP_ROWS
 
 
 class Keeper:

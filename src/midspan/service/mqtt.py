@@ -183,7 +183,10 @@ class Broker:
         if self._whole is not None:
             self._whole.stop()
         if self.connected:
-            self._client.publish(self._available, "offline", qos=1, retain=True).wait_for_publish(2.0)
+            said = self._client.publish(self._available, "offline", qos=1, retain=True)
+            # Where the connection is lost meanwhile, its last will says it.
+            with suppress(RuntimeError, ValueError):
+                said.wait_for_publish(2.0)
         self._client.disconnect()
         self._client.loop_stop()
 

@@ -180,14 +180,14 @@ class Service:
             job.cancel()
         await asyncio.gather(*self._jobs, return_exceptions=True)
         await self._intake.end(self._points)
-        for one in self._points:
-            self._publish_rows(one)
-        await asyncio.to_thread(self._alarms.close)
-        if self._broker is not None:
-            await asyncio.to_thread(self._broker.stop)
-        self._collect(last=True)
-        await asyncio.to_thread(self._groups.second, time.time_ns(), None)
         try:
+            for one in self._points:
+                self._publish_rows(one)
+            await asyncio.to_thread(self._alarms.close)
+            self._show(await asyncio.to_thread(self._groups.second, time.time_ns(), self._broker))
+            if self._broker is not None:
+                await asyncio.to_thread(self._broker.stop)
+            self._collect(last=True)
             for one in self._points:
                 one.live.end()
         finally:
@@ -406,9 +406,17 @@ class Service:
             self._topic_commands.came(topic, payload)
 
     def _event(self, one: Running, kind: str, text: str) -> None:
+        self._event_of(one.name, kind, text)
+
+    def _event_of_all(self, kind: str, text: str) -> None:
+        """An event of every point and group."""
+        for name in (*(one.name for one in self._points), *(plan.name for plan in self.site.groups)):
+            self._event_of(name, kind, text)
+
+    def _event_of(self, name: str, kind: str, text: str) -> None:
         now = Event(time.time_ns(), kind, text)
-        self._keeper.put(Batch(events=[(one.name, now)]))
-        self._publish_event(one.name, now)
+        self._keeper.put(Batch(events=[(name, now)]))
+        self._publish_event(name, now)
 
     def _publish_event(self, point: str, event: Event) -> None:
         """An event in the log and to the broker."""
@@ -453,14 +461,12 @@ class Service:
                 self._old_ns = None
             if self._keeper.dropped > self._dropped:
                 self._dropped = self._keeper.dropped
-                for one in self._points:
-                    self._event(one, "rows_dropped", f"store: {sentence('rows_dropped')}")
+                self._event_of_all("rows_dropped", f"store: {sentence('rows_dropped')}")
             # Store and broker that are away, or back, are an event of every point.
             for name, (reason, _) in self._shared().items():
                 if reason != self._away.get(name, "") and reason != "starting":
                     text = f"{name}: {sentence(reason) if reason else 'is available again.'}"
-                    for one in self._points:
-                        self._event(one, reason or "returned", text)
+                    self._event_of_all(reason or "returned", text)
                     self._away[name] = reason
             # While the store is away the broker would hold back all that comes after a few messages without an
             # acknowledgement: live goes on with what is held in memory.
@@ -468,7 +474,7 @@ class Service:
                 for acknowledge in done:
                     acknowledge()
                 if self._broker is not None:
-                    self._broker.acknowledge(self._groups.receipts())
+                    self._broker.acknowledge(self._groups.receipts(kept=not self._keeper.waiting))
             else:
                 self._acknowledge.extendleft(reversed(done))
 

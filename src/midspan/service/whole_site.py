@@ -4,6 +4,7 @@ A connection has one last will, and each shard's is for the shard's own topic. S
 connection, which listens to those and whose last will is for the site's.
 """
 
+from contextlib import suppress
 from typing import Any
 
 AGAIN_S = 1
@@ -28,7 +29,10 @@ class WholeSite:
     def stop(self) -> None:
         """Say that the site is not whole, and leave."""
         if self._client.is_connected():
-            self._client.publish(self._topic, "offline", qos=1, retain=True).wait_for_publish(2.0)
+            said = self._client.publish(self._topic, "offline", qos=1, retain=True)
+            # Where the connection is lost meanwhile, its last will says it.
+            with suppress(RuntimeError, ValueError):
+                said.wait_for_publish(2.0)
         self._client.disconnect()
         self._client.loop_stop()
 
