@@ -79,13 +79,8 @@ class RayShards:
 
     def __init__(self, work: Work, site_file: str, name: str, count: int) -> None:
         self._cluster = RayCluster(max(os.cpu_count() or 1, count), namespace=NAMESPACE)
-        self._ray, self._work, self._site_file, self._name, self._count = (
-            self._cluster.ray,
-            work,
-            site_file,
-            name,
-            count,
-        )
+        self._ray, self._work = self._cluster.ray, work
+        self._site_file, self._name, self._count = site_file, name, count
         self._lives: dict[int, set[str]] = {k: set() for k in range(1, count + 1)}
         self._known = {k: ShardState(k) for k in range(1, count + 1)}
         self._asked: dict[int, tuple[Any, Any, float]] = {}
