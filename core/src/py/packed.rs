@@ -43,7 +43,7 @@ fn pack_rows<'py>(
     Ok(PyBytes::new(py, &pack))
 }
 
-/// Point, status, count, first stamps and steps of runs (k,), their three columns (n,).
+/// Point, first stamp, step, count and status of runs (k,), their three columns (n,).
 type Rows<'py> = (
     Bound<'py, PyArray1<u32>>,
     Bound<'py, PyArray1<i64>>,
