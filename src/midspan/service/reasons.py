@@ -64,6 +64,10 @@ REASONS: dict[str, tuple[str, str]] = {
     "settings": ("SITE.toml is wrong", "correct the key that the message names; the previous settings stay in force"),
     "not_measuring": ("no measuring process is running", "start `midspan run`; stored data remain available"),
     "engine_silent": ("the measuring process does not answer", "wait; if it persists, check its log and the load"),
+    "overflow": (
+        "more readings arrive than can be filtered; the newest are lost",
+        "lower the rates, or use more shards",
+    ),
     "lost": ("the sensor's target is lost", "check the image for an obstruction"),
 }
 
