@@ -27,15 +27,15 @@ def command(campaign: str, runner: str, workers: int | None, output: str | None,
     from midspan.scale.batch import batch
 
     console = Console(quiet, as_json)
-    found = batch(campaign, runner=runner, workers=workers, output=output, progress=console.progress)
+    results = batch(campaign, runner=runner, workers=workers, output=output, progress=console.progress)
     console.done()
-    bad = [one for one in found.outcomes if one.exit_code]
-    console.warn(list(found.warnings))
-    for one in bad:
-        console.warn([f"{one.recording}: {one.message}"])
-    done = len(found.outcomes) - len(bad)
-    console.say(f"  {done} of {len(found.outcomes)} recordings done, {len(bad)} failed or refused; see summary.html")
-    console.say(f"  written  {found.output}")
-    recordings = [asdict(one) for one in found.outcomes]
-    console.document({"output": str(found.output), "warnings": found.warnings, "recordings": recordings})
-    return found.exit_code
+    bad = [outcome for outcome in results.outcomes if outcome.exit_code]
+    console.warn(list(results.warnings))
+    for outcome in bad:
+        console.warn([f"{outcome.recording}: {outcome.message}"])
+    done = len(results.outcomes) - len(bad)
+    console.say(f"  {done} of {len(results.outcomes)} recordings done, {len(bad)} failed or refused; see summary.html")
+    console.say(f"  written  {results.output}")
+    recordings = [asdict(outcome) for outcome in results.outcomes]
+    console.document({"output": str(results.output), "warnings": results.warnings, "recordings": recordings})
+    return results.exit_code

@@ -34,7 +34,7 @@ class Campaign:
     warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        done = sum(not one.exit_code for one in self.outcomes)
+        done = sum(not outcome.exit_code for outcome in self.outcomes)
         return f"Campaign({str(self.output)!r}: {done} of {len(self.outcomes)} recordings done)"
 
     def _repr_html_(self) -> str:
@@ -44,7 +44,7 @@ class Campaign:
     @property
     def exit_code(self) -> int:
         """0 where all are done, 3 where some failed or were refused."""
-        return 3 if any(one.exit_code for one in self.outcomes) else 0
+        return 3 if any(outcome.exit_code for outcome in self.outcomes) else 0
 
     def to_pandas(self) -> "pd.DataFrame":
         """One row a recording, with the columns of summary.csv."""
@@ -94,7 +94,7 @@ def batch(
     for number, result in _in_pieces(runner, workers, cuts):
         outcomes[number] = _outcome(tasks[number], result)
         shown.one_more()
-    whole = tuple(one for one in outcomes if one is not None)
+    whole = tuple(outcome for outcome in outcomes if outcome is not None)
     write_summary(place, whole)
     return Campaign(place, whole, tuple(warnings))
 

@@ -39,7 +39,7 @@ def _require_no_external_links(path: Path) -> None:
         return
     with h5py.File(path) as file:
         pending: list[Any] = [file]
-        seen = set[Any]()
+        visited = set[Any]()
         while pending:
             group = pending.pop()
             for name in group:
@@ -48,11 +48,11 @@ def _require_no_external_links(path: Path) -> None:
                     raise DataError(
                         f"{path}: {name} is a link to another file, which a campaign does not read. Copy the data."
                     )
-                own = group.get(name)
-                if isinstance(own, h5py.Dataset) and (own.external or own.is_virtual):
+                member = group.get(name)
+                if isinstance(member, h5py.Dataset) and (member.external or member.is_virtual):
                     raise DataError(
                         f"{path}: {name} takes its data from other files, which a campaign does not read. Copy them."
                     )
-                if isinstance(own, h5py.Group) and own.id not in seen:
-                    seen.add(own.id)
-                    pending.append(own)
+                if isinstance(member, h5py.Group) and member.id not in visited:
+                    visited.add(member.id)
+                    pending.append(member)

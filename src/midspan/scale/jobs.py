@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import itertools
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -57,10 +58,11 @@ def jobs_of(campaign: CampaignSettings, folder: Path) -> tuple[tuple[Job, ...], 
         except DataError as error:
             raise UsageError(f"calibration: {error}") from None
     more: dict[str, Any] = {"method": campaign.method, "tracker": campaign.tracker, "calibration": calibration}
-    found: dict[str, list[Any]] = {
-        one: recordings(one) if is_url(one) else _recordings(one, folder) for one in campaign.recordings
+    matches: dict[str, list[Any]] = {
+        pattern: recordings(pattern) if is_url(pattern) else _recordings(pattern, folder)
+        for pattern in campaign.recordings
     }
-    every = dict.fromkeys(one for matches in found.values() for one in matches)
+    every = dict.fromkeys(itertools.chain.from_iterable(matches.values()))
     jobs = [Job(_name(path, folder), path, **more) for path in every if isinstance(path, Path)]
     jobs += [Job(url, Path(RECORDING_FILE), url=url, **more) for url in every if isinstance(url, str)]
     if campaign.table is not None:
@@ -71,7 +73,7 @@ def jobs_of(campaign: CampaignSettings, folder: Path) -> tuple[tuple[Job, ...], 
     names = [job.name for job in jobs]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UsageError(f"The campaign names {', '.join(twice)} twice. Name each recording once.")
-    warnings = [f"{pattern!r} in recordings matches no recording." for pattern, matches in found.items() if not matches]
+    warnings = [f"{pattern!r} in recordings matches no recording." for pattern, files in matches.items() if not files]
     return tuple(sorted(jobs, key=lambda job: job.name)), warnings
 
 
@@ -82,15 +84,15 @@ def _recordings(pattern: str, folder: Path) -> list[Path]:
     if not is_glob and not (path.is_file() or (path / RECORDING_FILE).is_file()):
         raise UsageError(f"{path}: has no {RECORDING_FILE}. Correct the name in the campaign, or remove it.")
     matches = sorted(folder.glob(pattern)) if is_glob and not Path(pattern).is_absolute() else [path]
-    files = [one / RECORDING_FILE if one.is_dir() else one for one in matches]
-    return [one for one in files if one.name == RECORDING_FILE and one.is_file()]
+    files = [match / RECORDING_FILE if match.is_dir() else match for match in matches]
+    return [file for file in files if file.name == RECORDING_FILE and file.is_file()]
 
 
 def _name(path: Path, folder: Path) -> str:
     """A recording's folder relative to the campaign."""
-    own = path.parent.resolve()
+    parent = path.parent.resolve()
     base = folder.resolve()
-    return utf8(own.relative_to(base).as_posix() if own.is_relative_to(base) else own.as_posix())
+    return utf8(parent.relative_to(base).as_posix() if parent.is_relative_to(base) else parent.as_posix())
 
 
 def is_utf8(name: str) -> bool:
@@ -108,12 +110,12 @@ def _rows(table: Path, folder: Path) -> Iterator[dict[str, Any]]:
     import pandas as pd
 
     frame = _table(table).dropna(how="all")
-    options, own = [one.name for one in fields(Choices)], ["method", "tracker"]
+    options, choices = [option.name for option in fields(Choices)], ["method", "tracker"]
     missing = sorted({ACCELEROMETER, VIDEO} - {*frame.columns})
-    unknown = sorted({*map(str, frame.columns)} - {ACCELEROMETER, VIDEO, *options, *own})
+    unknown = sorted({*map(str, frame.columns)} - {ACCELEROMETER, VIDEO, *options, *choices})
     if missing or unknown:
         wrong = f"has no column {missing[0]}" if missing else f"has an unknown column {unknown[0]}"
-        raise UsageError(f"{table}: {wrong}. Its columns are accelerometer, video, {', '.join([*options, *own])}.")
+        raise UsageError(f"{table}: {wrong}. Its columns are accelerometer, video, {', '.join([*options, *choices])}.")
     for number, row in enumerate(frame.to_dict("records"), start=1):
         if absent := [key for key in (ACCELEROMETER, VIDEO) if pd.isna(row[key])]:
             raise UsageError(f"{table}: row {number} has no {absent[0]}. Name a file, or remove the row.")
@@ -126,7 +128,7 @@ def _rows(table: Path, folder: Path) -> Iterator[dict[str, Any]]:
             "path": folder / str(row[ACCELEROMETER]),
             "second": second,
             "choices": chosen,
-            **{key: row[key] for key in own if key in row and not pd.isna(row[key])},
+            **{key: row[key] for key in choices if key in row and not pd.isna(row[key])},
         }
 
 
@@ -156,11 +158,11 @@ def _number(value: Any, where: str) -> float:
 
 def files_of(job: Job) -> list[Path]:
     """The files that a job's result depends on; of a sequence of images all."""
-    own = [job.path] if job.second is None else [job.path, job.second]
+    files = [job.path] if job.second is None else [job.path, job.second]
     if job.second is None:
         settings = load_settings(job.path)
-        own += [path for name in named_files(settings) for path in _matching(job.path.parent, name)]
-    return [*own, *([] if job.calibration is None else [job.calibration])]
+        files += [path for name in named_files(settings) for path in _matching(job.path.parent, name)]
+    return [*files, *([] if job.calibration is None else [job.calibration])]
 
 
 def named_files(settings: RecordingSettings) -> list[str]:
@@ -173,7 +175,7 @@ def named_files(settings: RecordingSettings) -> list[str]:
 def _matching(folder: Path, name: str) -> list[Path]:
     path = folder / name
     if path.is_dir():
-        return sorted(one for one in path.iterdir() if one.is_file())
+        return sorted(file for file in path.iterdir() if file.is_file())
     if any(sign in name for sign in SIGNS):
         return sorted(folder.glob(name))
     return [path]
@@ -181,15 +183,15 @@ def _matching(folder: Path, name: str) -> list[Path]:
 
 def key_of(job: Job) -> str:
     """A hash of what the result follows from: the files' contents, what is chosen, and the version."""
-    found = hashlib.sha256(f"{__version__}\n".encode())
+    digest = hashlib.sha256(f"{__version__}\n".encode())
     chosen = {key: value for key, value in asdict(job).items() if key not in ("name", "path", "second", "calibration")}
-    found.update(repr(sorted(chosen.items(), key=lambda one: one[0])).encode())
+    digest.update(repr(sorted(chosen.items(), key=lambda item: item[0])).encode())
     if job.url:
-        found.update("\n".join(parts_of(job.url)).encode())
-        return found.hexdigest()
+        digest.update("\n".join(parts_of(job.url)).encode())
+        return digest.hexdigest()
     for path in files_of(job):
-        found.update(f"\n{path.name}\n".encode())
+        digest.update(f"\n{path.name}\n".encode())
         if path.is_file():
             with path.open("rb") as file:
-                found.update(hashlib.file_digest(file, "sha256").digest())
-    return found.hexdigest()
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()

@@ -74,8 +74,8 @@ def _recording(cut: Cut) -> "Recording":
 
 def work_piece(piece: Piece) -> Done:
     """Estimate a piece, unless an earlier run did; UsageError where it cannot be written."""
-    if (known := _finished(piece)) is not None:
-        return known[0]
+    if (earlier := _finished(piece)) is not None:
+        return earlier[0]
     from midspan.recording.pieces import estimate_piece, seam, with_rows
 
     begun_s = time.monotonic()
@@ -126,22 +126,24 @@ def join(cut: Cut) -> Outcome:
 
     _LAST.clear()
     pieces = pieces_of(cut)
-    found = [one for one in map(_finished, pieces) if one is not None]
-    if len(found) < len(pieces) or not joined_seams([seams for _, seams in found]):
+    finished = [piece for piece in map(_finished, pieces) if piece is not None]
+    if len(finished) < len(pieces) or not joined_seams([seams for _, seams in finished]):
         outcome = work_whole(cut)
     else:
-        begun_s, done = time.monotonic() - cut.seconds, [one for one, _ in found]
+        begun_s, done = time.monotonic() - cut.seconds, [part for part, _ in finished]
         # A notice of the whole stands in each piece.
-        most = {code: max(one.warnings.get(code, 0) for one in done) for one in done for code in sorted(one.warnings)}
+        codes = sorted({code for part in done for code in part.warnings})
+        most = {code: max(part.warnings.get(code, 0) for part in done) for code in codes}
         try:
             rmse_mm = _rmse_mm(cut, pieces)
         except MidspanError as error:
             # As of a reference that has no time in common.
             outcome = failed(cut.task, cut.key, error)
         else:
-            outcome = Outcome(cut.task.job.name, 0, sum(one.rows for one in done), rmse_mm, most, key=cut.key)
+            rows = sum(part.rows for part in done)
+            outcome = Outcome(cut.task.job.name, 0, rows, rmse_mm, most, key=cut.key)
             _publish(cut, pieces)
-        outcome = record(cut.task, outcome, begun_s - sum(one.seconds for one in done))
+        outcome = record(cut.task, outcome, begun_s - sum(part.seconds for part in done))
     shutil.rmtree(cut.task.pieces_folder, ignore_errors=True)
     with suppress(OSError):
         # Of the last recording of all.
@@ -168,5 +170,5 @@ def _rmse_mm(cut: Cut, pieces: Sequence[Piece]) -> float | None:
     from midspan.records import TimeSeries
 
     parts = [read_result(piece.rows_file).series for piece in pieces]
-    rows = TimeSeries(np.concatenate([one.time_ns for one in parts]), np.concatenate([one.value for one in parts]))
+    rows = TimeSeries(np.concatenate([part.time_ns for part in parts]), np.concatenate([part.value for part in parts]))
     return float(metrics.compare(rows, recording.reference).to_dict()["rmse_mm"])

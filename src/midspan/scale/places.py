@@ -27,7 +27,7 @@ def folder_name(name: str) -> str:
     """A recording's name as that of a folder: signs that mean something in a path or a partition as %XX, a long one
     cut, with a hash.
     """
-    parts = [one if not one.isascii() and one.isprintable() else quote(one, safe="") for one in name]
+    parts = [letter if not letter.isascii() and letter.isprintable() else quote(letter, safe="") for letter in name]
     if sum(len(part.encode()) for part in parts) <= MAX_BYTES:
         return "".join(parts)
     kept, size = list[str](), 0
@@ -49,21 +49,21 @@ def take(output: Path, campaign_file: Path) -> None:
         raise UsageError(f"{output}: cannot be made ({error.strerror}). Choose another output.") from None
     # Relative: both may move together.
     try:
-        own = Path(os.path.relpath(campaign_file.resolve(), output.resolve())).as_posix()
+        name = Path(os.path.relpath(campaign_file.resolve(), output.resolve())).as_posix()
     except ValueError:
         # On another drive.
-        own = campaign_file.resolve().as_posix()
+        name = campaign_file.resolve().as_posix()
     file = output / OWNER_FILE
     owner = _owner(file)
     if owner is None and (output / ROWS).exists():
         raise UsageError(f"{output}: has a folder {ROWS} that no campaign made. Remove it, or choose another output.")
-    if owner not in (None, own):
+    if owner not in (None, name):
         raise UsageError(
             f"{output}: has the results of another campaign, {owner}. Choose another output, or remove {file} where "
             "this campaign's file has moved."
         )
     if owner is None:
-        write_whole(file, json.dumps({"campaign": own}).encode())
+        write_whole(file, json.dumps({"campaign": name}).encode())
 
 
 def _owner(file: Path) -> str | None:

@@ -21,20 +21,20 @@ def recordings(pattern: str) -> list[str]:
     is_glob = any(sign in path for sign in "*?[")
     try:
         matches = system.glob(path) if is_glob else [path]
-        folders = [one.removesuffix(f"/{RECORDING_FILE}") for one in matches]
-        kept = [one for one in folders if system.exists(f"{one}/{RECORDING_FILE}")]
+        folders = [file.removesuffix(f"/{RECORDING_FILE}") for file in matches]
+        kept = [folder for folder in folders if system.exists(f"{folder}/{RECORDING_FILE}")]
     except OSError as error:
         raise UsageError(f"{pattern}: cannot be listed ({error}). Correct it in the campaign, or remove it.") from None
     if not kept and not is_glob:
         raise UsageError(f"{pattern}: has no {RECORDING_FILE}. Correct it in the campaign, or remove it.")
-    return [str(system.unstrip_protocol(one)) for one in dict.fromkeys(kept)]
+    return [str(system.unstrip_protocol(folder)) for folder in dict.fromkeys(kept)]
 
 
 def parts_of(url: str) -> list[str]:
     """What tells that a recording's files are those of before: names with what the store keeps as their state."""
     system, path = _opened(url)
     try:
-        return [f"{one.removeprefix(path)} {system.ukey(one)}" for one in sorted(system.find(path))]
+        return [f"{file.removeprefix(path)} {system.ukey(file)}" for file in sorted(system.find(path))]
     except OSError as error:
         raise DataError(f"{url}: cannot be listed ({error}).") from None
 
@@ -48,10 +48,10 @@ def fetched(url: str) -> Iterator[Path]:
             system.get(f"{path.rstrip('/')}/", folder, recursive=True)
         except OSError as error:
             raise DataError(f"{url}: cannot be read ({error}).") from None
-        found = sorted(Path(folder).rglob(RECORDING_FILE))
-        if not found:
+        recordings = sorted(Path(folder).rglob(RECORDING_FILE))
+        if not recordings:
             raise DataError(f"{url}: has no {RECORDING_FILE} any more.")
-        yield found[0]
+        yield recordings[0]
 
 
 def _opened(url: str) -> tuple[Any, str]:

@@ -86,7 +86,7 @@ class ProcessRunner:
         finally:
             for name, value in before.items():
                 os.environ.pop(name, None) if value is None else os.environ.__setitem__(name, value)
-            for pipe, process in [*idle, *((pipe, own[0]) for pipe, own in busy.items())]:
+            for pipe, process in [*idle, *((pipe, process) for pipe, (process, *_) in busy.items())]:
                 pipe.close()
                 process.terminate()
                 process.join()
@@ -111,7 +111,7 @@ def _begun(context: Any, function: Callable[[Any], Any], idle: list[tuple[Any, A
 
 
 def _started(context: Any, function: Callable[[Any], Any]) -> tuple[Any, Any]:
-    own, theirs = context.Pipe()
+    ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(theirs, function), daemon=True)
     # A worker imports the main module of who starts it, which a script without a guard does not bear.
     main = sys.modules["__main__"]
@@ -121,7 +121,7 @@ def _started(context: Any, function: Callable[[Any], Any]) -> tuple[Any, Any]:
     finally:
         sys.modules["__main__"] = main
     theirs.close()
-    return own, process
+    return ours, process
 
 
 def _serve(pipe: Any, function: Callable[[Any], Any]) -> None:

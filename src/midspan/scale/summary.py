@@ -43,15 +43,15 @@ def frame_of(outcomes: Sequence[Outcome]) -> "pd.DataFrame":
 
     rows = [
         (
-            one.recording,
-            one.exit_code,
-            one.rows,
-            one.rmse_mm,
-            "; ".join(f"{code} {count}" for code, count in one.warnings.items()),
-            round(one.seconds, 3),
-            one.message,
+            outcome.recording,
+            outcome.exit_code,
+            outcome.rows,
+            outcome.rmse_mm,
+            "; ".join(f"{code} {count}" for code, count in outcome.warnings.items()),
+            round(outcome.seconds, 3),
+            outcome.message,
         )
-        for one in outcomes
+        for outcome in outcomes
     ]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"rmse_mm": "float64"})
 
@@ -69,9 +69,11 @@ def write_summary(output: Path, outcomes: Sequence[Outcome]) -> None:
 
 
 def _page(outcomes: Sequence[Outcome]) -> str:
-    failed = sum(one.exit_code != 0 for one in outcomes)
+    failed = sum(outcome.exit_code != 0 for outcome in outcomes)
     head = "".join(f"<th>{name}</th>" for name in SHOWN)
-    body = "".join(_row(one) for one in sorted(outcomes, key=lambda one: (one.exit_code == 0, one.recording)))
+    body = "".join(
+        _row(outcome) for outcome in sorted(outcomes, key=lambda outcome: (outcome.exit_code == 0, outcome.recording))
+    )
     text = f"{len(outcomes)} recordings, {failed} of them failed or refused; these stand first."
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
@@ -81,12 +83,20 @@ def _page(outcomes: Sequence[Outcome]) -> str:
     )
 
 
-def _row(one: Outcome) -> str:
-    rmse = "" if one.rmse_mm is None else f"{one.rmse_mm:.4g}"
-    codes = "; ".join(f"{code} {count}" for code, count in one.warnings.items())
-    values = (one.recording, str(one.exit_code), str(one.rows), rmse, codes, f"{one.seconds:.1f}", one.message)
+def _row(outcome: Outcome) -> str:
+    rmse = "" if outcome.rmse_mm is None else f"{outcome.rmse_mm:.4g}"
+    codes = "; ".join(f"{code} {count}" for code, count in outcome.warnings.items())
+    values = (
+        outcome.recording,
+        str(outcome.exit_code),
+        str(outcome.rows),
+        rmse,
+        codes,
+        f"{outcome.seconds:.1f}",
+        outcome.message,
+    )
     cells = (
         f'<td data-name="{name}"{" class=n" if name in NUMBERS else ""}>{escape(value)}</td>'
         for name, value in zip(SHOWN, values, strict=True)
     )
-    return f'<tr class="{"bad" if one.exit_code else "good"}">{"".join(cells)}</tr>'
+    return f'<tr class="{"bad" if outcome.exit_code else "good"}">{"".join(cells)}</tr>'

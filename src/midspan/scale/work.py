@@ -98,11 +98,11 @@ def finished(task: Task, key: str) -> Outcome | None:
     """The outcome of an earlier run that followed from the same files, choices and version; None: there is none."""
     try:
         tree = read_json(task.done_file)
-        known = Outcome(**tree)
-        whole = known.key == key and known.size == task.size() and (known.size > 0 or known.exit_code != 0)
+        earlier = Outcome(**tree)
+        whole = earlier.key == key and earlier.size == task.size() and (earlier.size > 0 or earlier.exit_code != 0)
     except (OSError, TreeError, TypeError):
         return None
-    return known if whole and known.exit_code != INTERNAL else None
+    return earlier if whole and earlier.exit_code != INTERNAL else None
 
 
 def work(task: Task) -> Outcome | Cut:
@@ -116,8 +116,8 @@ def work(task: Task) -> Outcome | Cut:
         if not is_utf8(str(task.job.path)):
             raise DataError(f"{task.job.name}: its name is not in UTF-8. Rename the folder.")
         key = key_of(task.job)
-        if (known := finished(task, key)) is not None:
-            return known
+        if (earlier := finished(task, key)) is not None:
+            return earlier
         with _at_hand(task.job) as job:
             require_confined(job)
             recording = opened(job)
@@ -202,10 +202,10 @@ def opened(job: Job) -> "Recording":
     for path in (job.path, job.second):
         if not (path.exists() or is_inside(path) or any(sign in path.name for sign in SIGNS)):
             raise DataError(f"{path}: no such file. Correct its name in the campaign's table.")
-    found = draft(job.path, job.second, Choices(**job.choices))
-    if found.second != DISPLACEMENT.section:
-        found.sections[found.second] |= chosen
-    return Recording(*settings_of(found))
+    settings = draft(job.path, job.second, Choices(**job.choices))
+    if settings.second != DISPLACEMENT.section:
+        settings.sections[settings.second] |= chosen
+    return Recording(*settings_of(settings))
 
 
 def _cut(recording: "Recording", job: Job) -> "tuple[Calibration | None, tuple[Span, ...]]":
