@@ -17,7 +17,7 @@ from midspan.errors import DataError, MidspanError, UsageError
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds
 from midspan.store.blocks import blocks_of, joined
 from midspan.store.chunk import Chunk
-from midspan.store.database import Database, FileLocks, PostgresDatabase, SqliteDatabase, lock_in_session
+from midspan.store.database import Database, Division, FileLocks, PostgresDatabase, SqliteDatabase, lock_in_session
 from midspan.store.days import BLOCK_S, DAY_NS, DAY_TABLES, DAYS, REACH_NS, Days, OneDatabase, part_of
 from midspan.store.group_rows import GROUP, GroupChunk
 from midspan.store.group_state import StateFiles
@@ -479,16 +479,18 @@ class Store:
         return self._groups.states.get(key)
 
 
-def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[str] = ()) -> Store:
+def open_store(
+    where: str | Path, *, read_only: bool = False, points: Sequence[str] = (), division: Division | None = None
+) -> Store:
     """The store in a folder, or at a `postgresql://` address; made where there is none, unless it is only read.
 
-    points: whose records will be written: locked until the store is closed. Raises DataError where there is none to
-    read, UsageError for one of another version and, before anything is written, for a point that another process
-    writes; StoreFault where it cannot be reached.
+    points: whose records will be written: locked until the store is closed, as is the site's division. Raises DataError
+    where there is none to read, UsageError for one of another version and, before anything is written, for a point that
+    another process writes or a site that runs in another division; StoreFault where it cannot be reached.
     """
     with ExitStack() as opened:
         if is_address(where):
-            server = PostgresDatabase(str(where), partial(lock_in_session, points=points))
+            server = PostgresDatabase(str(where), partial(lock_in_session, points=points, division=division))
             database: Database = server
             store = Store(server, server, OneDatabase(server), TablePieces(server), StateTable(server), points=points)
             tables: tuple[str, ...] = (*SITE_TABLES, *CHECKPOINT_TABLES, *DAY_TABLES, *SERVER_TABLES)
@@ -498,7 +500,7 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
                 raise DataError(
                     f"{folder}: is not a store: it has no {SITE_FILE}. `midspan replay` and `midspan run` create one."
                 )
-            locks = FileLocks(folder, points)
+            locks = FileLocks(folder, points, division)
             opened.callback(locks.close)
             database = SqliteDatabase(folder / SITE_FILE, read_only=read_only)
             pieces = FilePieces(folder / LOGS, read_only)
