@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from midspan import _core
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, GroupRows
+from midspan.service.keeping import Keeper
 from midspan.service.stored_recording import stored_table
 from midspan.store.archive import archive
 from midspan.store.chunk import Chunk
-from midspan.store.database import StoreFault
+from midspan.store.database import Division, StoreFault
 from midspan.store.days import BLOCK_S, DAY_NS
 from midspan.store.group_rows import GroupChunk, in_slots, newer, packed, part_of_pack, unpacked
 from midspan.store.store import Batch, open_store
@@ -200,20 +201,88 @@ def test_parts_of_a_day_are_dropped_in_postgresql(postgres, store_name):
 
 def test_shards_write_one_database_at_once(postgres, store_name):
     where = postgres.database(store_name)
-    parts = [open_store(where, points=[f"north {k} of 2"]) for k in (1, 2)]
+    parts = [open_store(where, points=[f"north {k} 2"]) for k in (0, 1)]
     for number in range(3):
         for k, store in enumerate(parts):
             rows = rows_of([k, k + 2], number * RATE_HZ, (number + 1) * RATE_HZ)
             state = (BEGIN_NS, f"state {k} {number}".encode())
-            store.write(Batch(groups=[GroupChunk("north", rows, state, f"{k + 1} of 2")]))
+            store.write(Batch(groups=[GroupChunk("north", rows, state, f"{k} 2")]))
     parts[0].flush()
     with open_store_closing(where) as read:
         assert read.points == [f"north-{point}" for point in range(4)]
         for point in range(4):
             assert_rows(read, point, 0, 3 * RATE_HZ)
-        assert read.group_checkpoint("north 2 of 2") == (BEGIN_NS, b"state 1 2")
+        assert read.group_checkpoint("north 1 2") == (BEGIN_NS, b"state 1 2")
     for store in parts:
         store.close()
+
+
+def part_of_second(part, number, points=6):
+    """A second of the points of a shard."""
+    first, step = (int(word) for word in part.split())
+    rows = rows_of(range(first, points, step), number * RATE_HZ, (number + 1) * RATE_HZ)
+    return Batch(groups=[GroupChunk("north", rows, None, part)])
+
+
+def killed(store):
+    """Its process has ended without a word."""
+    if store._locks is None:
+        store._site.close()
+    else:
+        os.close(store._pieces._file)
+        store._locks.close()
+
+
+def test_another_number_of_shards_takes_over_what_was_left_in_a_database(postgres, store_name):
+    import psycopg
+
+    where = postgres.database(store_name)
+    for part in ("0 2", "1 2"):
+        store = open_store(where, points=[f"north {part}"], division=Division("bridge", 2))
+        for number in range(3):
+            store.write(part_of_second(part, number))
+        killed(store)
+    parts = [f"{k} 3" for k in range(3)]
+    stores = {part: open_store(where, points=[f"north {part}"], division=Division("bridge", 3)) for part in parts}
+    # A second comes again, as nobody acknowledged it.
+    for number in (2, 3):
+        for part in parts:
+            stores[part].write(part_of_second(part, number))
+    with psycopg.connect(where) as connection:
+        kept = connection.execute("SELECT part, COUNT(*) FROM group_piece GROUP BY part ORDER BY part").fetchall()
+    assert kept == [(part, 1) for part in parts]
+    for _ in range(2):
+        with open_store_closing(where) as read:
+            for point in range(6):
+                assert_rows(read, point, 0, 4 * RATE_HZ)
+        for store in stores.values():
+            store.flush()
+    for store in stores.values():
+        store.close()
+
+
+def test_another_number_of_shards_takes_over_what_was_left_in_folders(tmp_path):
+    for part in ("0 3", "1 3", "2 3"):
+        where = tmp_path / "store" / f"shard-{int(part[0]) + 1}"
+        store = open_store(where, points=[f"north {part}"], division=Division("bridge", 3))
+        store.write(part_of_second(part, 0))
+        killed(store)
+    for part in ("0 2", "1 2"):
+        keeper = Keeper(str(tmp_path / "store" / f"shard-{int(part[0]) + 1}"), [f"north {part}"], Division("bridge", 2))
+        # What is left of its own points does not come again; of others there is nothing.
+        for number in (0, 1):
+            keeper.put(part_of_second(part, number))
+        keeper.write()
+        keeper.close()
+    assert not list((tmp_path / "store").glob("*/log/*.log"))
+    for point, folder in enumerate((1, 2, 3, 1, 2, 3)):
+        with open_store_closing(tmp_path / "store" / f"shard-{folder}") as read:
+            first = 0 if (folder - 1) % 3 == point % 3 else RATE_HZ
+            last = 2 * RATE_HZ if folder - 1 == point % 2 else RATE_HZ
+            assert_rows(read, point, first, last)
+    whole = Keeper(str(tmp_path / "store"), ["north"], Division("bridge", 0))
+    whole.put(Batch(groups=[GroupChunk("north", rows_of(range(6), 40, 60))]))
+    whole.close()
 
 
 def open_store_closing(where):

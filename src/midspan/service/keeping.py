@@ -8,6 +8,7 @@ from pathlib import Path
 from midspan.errors import MidspanError
 from midspan.store.database import Division, StoreFault
 from midspan.store.store import Batch, Store, open_store
+from midspan.store.upkeep import take_over_left
 
 # Held back at most, in batches of a point and second: an hour of five points. Of groups this many rows are as much.
 MAX_WAITING, GROUP_ROWS = 18_000, 500
@@ -67,6 +68,8 @@ class Keeper:
         """The open store. Raises StoreFault, and UsageError as `open_store` does."""
         if self._store is None:
             self._store = open_store(self._where, points=self._points, division=self._division)
+            if self._division is not None:
+                take_over_left(self._where, self._division)
         return self._store
 
     def lock(self, points: Sequence[str]) -> None:

@@ -27,7 +27,8 @@ VELOCITY = "velocity_m_s"
 class GroupChunk:
     """Rows of a group `name` and the state that they lead to: its instant (ns) and bytes, None: not kept now.
 
-    Points are called NAME-NUMBER. part: of a site in shards, which of them writes (letters, digits and blanks).
+    Points are called NAME-NUMBER. part: of a site in shards, which points its writer has: the first number and the
+    number of shards, such as "1 3"; empty: all.
     """
 
     name: str
@@ -58,6 +59,12 @@ def member_of(point: str) -> tuple[str, int] | None:
         return None
     number = int(digits)
     return (name, number) if number < 2**32 else None
+
+
+def stride(part: str) -> tuple[int, int]:
+    """The first number of a part of a group, and the step from each to the next, which is the number of shards."""
+    first, _, step = part.partition(" ")
+    return (int(first), int(step)) if part else (0, 1)
 
 
 def packed(rows: GroupRows) -> bytes:

@@ -24,6 +24,7 @@ from midspan.store.group_rows import (
     newer,
     newest_of,
     packed,
+    stride,
 )  # fmt: skip
 from midspan.store.group_state import StateFiles
 from midspan.store.kept import Kept
@@ -136,10 +137,14 @@ class Groups:
             self._members[chunk.key] = members
 
     def _newest_kept(self, name: str, part: str) -> Nanoseconds:
-        """The stamp of each point's newest row, by its number."""
-        members = self._kept.members(name, part)
-        packs = [one.body for one in self._pieces.packs(name) if one.shown == part]
-        newest_ns = newest_of(packs, len(members), NOTHING_NS)
+        """The stamp of the newest row of each point of a part, by its number, whoever wrote it: another number of
+        shards has other parts.
+        """
+        first, step = stride(part)
+        members = self._kept.members(name)
+        members &= np.arange(len(members)) % step == first
+        packs = self._pieces.packs(name)
+        newest_ns = newest_of((one.body for one in packs if one.shown == part), len(members), NOTHING_NS)
         looked: list[Day] = []
         for number in self._kept.days_of_group(name)[: -LOOK_BACK_DAYS - 1 : -1]:
             missing = np.flatnonzero(members & (newest_ns[: len(members)] == NOTHING_NS))
@@ -148,7 +153,9 @@ class Groups:
                     looked.append(day)
                     for one, one_ns in _newest_in(day, name, missing):
                         newest_ns[one] = one_ns
-        return newest_ns
+        others = newest_of((one.body for one in packs if stride(one.shown)[1] != step), len(newest_ns), NOTHING_NS)
+        others[: len(newest_ns)] = np.maximum(others[: len(newest_ns)], newest_ns)
+        return others
 
 
 def _slot(piece: Piece) -> int:

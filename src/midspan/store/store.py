@@ -196,10 +196,7 @@ class Store:
 
     def take_over(self) -> list[int]:
         """Make blocks of what ended processes left in their logs; how many pieces each had."""
-        counts = []
-        for pieces, _ in self._pieces.abandoned():
-            self._make_blocks(pieces)
-            counts.append(len(pieces))
+        counts = self._pieces.take_over(self._points, self._make_blocks)
         for piece in self._pieces.own(sorted(self._points)):
             self._begun.setdefault((piece.point, piece.stream), piece.t0_ns)
         self._took_over = True

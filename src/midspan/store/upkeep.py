@@ -5,12 +5,12 @@ import shutil
 import sqlite3
 import tarfile
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from midspan.errors import DataError, UsageError
-from midspan.store.database import LOCKS, Database, FileLocks, SqliteDatabase, lock_file, sqlite_faults
+from midspan.errors import DataError, MidspanError, UsageError
+from midspan.store.database import LOCKS, Database, Division, FileLocks, SqliteDatabase, lock_file, sqlite_faults
 from midspan.store.days import DAYS, TABLES
 from midspan.store.group_rows import decoded
 from midspan.store.group_state import STATES, is_damaged
@@ -102,6 +102,19 @@ def repair(where: str) -> list[str]:
     finally:
         locks.close()
     return done
+
+
+def take_over_left(where: str, division: Division) -> None:
+    """Make blocks of what another division of a site left in the logs of stores that this one has not."""
+    if is_address(where):
+        return
+    folder = Path(where).parent if division.count else Path(where)
+    used = [f"shard-{number}" for number in range(1, division.count + 1)] or [folder.name]
+    for place in [folder, *sorted(folder.glob("shard-*"))]:
+        if place.name not in used and (place / SITE_FILE).is_file() and _logs(place):
+            # What is damaged stays as it is; `repair` names it.
+            with suppress(MidspanError), closing(open_store(place)) as store:
+                store.take_over()
 
 
 def backup(where: str, target: Path) -> list[str]:
