@@ -17,6 +17,7 @@ from midspan.errors import DataError
 from midspan.records import NANOSECONDS, GroupRows
 from midspan.service.keeping import Keeper
 from midspan.service.stored_recording import stored_table
+from midspan.store import group_state, pieces
 from midspan.store.archive import archive
 from midspan.store.chunk import Chunk
 from midspan.store.database import Division, StoreFault
@@ -329,6 +330,52 @@ def test_after_a_kill_rows_are_whole_and_the_state_is_not_newer(tmp_path, after)
     assert check(where).faults == ()
 
 
+@pytest.mark.parametrize("seconds", [9, 11, 14, 25, 41])
+def test_after_a_power_cut_the_state_is_not_newer_than_its_rows(tmp_path, monkeypatch, seconds):
+    """Of the log that is left what was synchronised; all states came to the disk, as the kernel may write them."""
+    where, real, synced = tmp_path / "store", os.fsync, [0]
+
+    def fsync(file):
+        synced.append(os.fstat(file).st_size) if file == store._pieces._file else None
+        real(file)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    store = open_store(where, points=["north"])
+    for number in range(seconds):
+        store.write(Batch(groups=[second(number)]))
+    killed(store)
+    (log,) = (where / "log").glob("*.log")
+    os.truncate(log, synced[-1])
+    store = open_store(where, points=["north"])
+    newest_ns, state = store.newest_ns("north-17", "rows"), store.group_checkpoint("north")
+    kept = 0 if newest_ns is None else round((newest_ns - BEGIN_NS) / NANOSECONDS)
+    assert seconds - kept <= pieces.SYNC_S
+    # Without rows on the disk there is no state, else that which they lead to.
+    assert state == (None if not kept else (BEGIN_NS + kept * NANOSECONDS, b"state %d" % (kept - 1)))
+    for number in range(kept, kept + 3):
+        store.write(Batch(groups=[second(number)]))
+        assert store.group_checkpoint("north")[1] == b"state %d" % number
+    assert_rows(store, 17, 0, (kept + 3) * RATE_HZ)
+    store.close()
+
+
+def test_a_state_of_an_earlier_version_is_used(tmp_path):
+    import zlib
+
+    store = open_store(tmp_path / "store", points=["north"])
+    store.write(Batch(groups=[second(0), second(1, checkpoint=False)]))
+    for turn in range(3):
+        (tmp_path / "store" / "groups" / f"north.{turn}").unlink()
+    head = group_state.FIRST_HEAD.pack(group_state.FIRST_MAGIC, 7, BEGIN_NS, 5, zlib.crc32(b"first"))
+    (tmp_path / "store" / "groups" / "north.1").write_bytes(head + b"first")
+    assert store.group_checkpoint("north") == (BEGIN_NS, b"first")
+    store.close()
+    store = open_store(tmp_path / "store", points=["north"])
+    store.write(Batch(groups=[second(2)]))
+    assert store.group_checkpoint("north")[1] == b"state 2"
+    store.close()
+
+
 def left_by_a_kill(where, batch):
     """A store whose writer ended without a word."""
     store = open_store(where, points=["north", "deck"])
@@ -398,7 +445,7 @@ def test_a_full_disk_keeps_the_state_before(tmp_path, monkeypatch):
     real = os.write
 
     def full(file, data):
-        if data[:4] == b"ms\x01\0":
+        if data[:4] == group_state.MAGIC:
             real(file, data[: len(data) // 2])
             raise OSError(errno.ENOSPC, "No space left on device")
         return real(file, data)

@@ -26,13 +26,12 @@ from midspan.store.group_rows import (
     packed,
     stride,
 )  # fmt: skip
-from midspan.store.group_state import StateFiles
+from midspan.store.group_state import NO_ROWS_NS, GroupState, StateFiles
 from midspan.store.kept import Kept
 from midspan.store.parts import keep_checkpoint, kept_checkpoint
 from midspan.store.pieces import Piece, Pieces, pack_piece
 from midspan.store.pyramid import Pyramid
 
-NOTHING_NS = -(2**62)
 SLOT_NS = length_ns(BLOCK_S)
 # Rows come again within a broker's session: where the newest row of a silent point is, nobody looks further back.
 LOOK_BACK_DAYS = 8
@@ -44,14 +43,15 @@ class StateTable:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def put(self, key: str, time_ns: int, body: bytes) -> None:
-        """Keep a state. Raises StoreFault."""
+    def put(self, key: str, state: GroupState, *, lasting: bool = True) -> None:
+        """Keep a state: the server has the rows that it rests on. Raises StoreFault."""
         with self._database.transaction():
-            keep_checkpoint(self._database, key, time_ns, [body])
+            keep_checkpoint(self._database, key, state.time_ns, [state.body])
 
-    def get(self, key: str) -> tuple[int, bytes] | None:
-        """The newest state and its instant (ns); None without one. Raises DataError for a damaged one."""
-        return kept_checkpoint(self._database, key) if self._database.has_table("checkpoint") else None
+    def get(self, key: str) -> list[GroupState]:
+        """The newest state, where there is one. Raises DataError for a damaged one."""
+        kept = kept_checkpoint(self._database, key) if self._database.has_table("checkpoint") else None
+        return [] if kept is None else [GroupState(*kept)]
 
     def close(self) -> None:
         """The connection is the site's."""
@@ -75,7 +75,7 @@ class Groups:
         """
         if chunk.key not in self._newest:
             self._newest[chunk.key] = self._newest_kept(chunk.name, chunk.part)
-        newest_ns = grown(self._newest[chunk.key], chunk.rows.point, NOTHING_NS)
+        newest_ns = grown(self._newest[chunk.key], chunk.rows.point, NO_ROWS_NS)
         rows = newer(chunk.rows, newest_ns)
         packs = [
             pack_piece(chunk.name, chunk.part, (int(part.t0_ns.min()), int(end_ns(part).max())), packed(part))
@@ -86,6 +86,33 @@ class Groups:
             np.maximum.at(newest_ns, rows.point, end_ns(rows))
         self._newest[chunk.key] = newest_ns
         return packs
+
+    def put_state(self, chunk: GroupChunk, *, lasting: bool) -> None:
+        """Keep the state that a chunk leads to, after its rows; lasting: these are on the disk. Raises StoreFault."""
+        if chunk.checkpoint is not None:
+            rows_ns = int(self._newest[chunk.key].max(initial=NO_ROWS_NS))
+            self.states.put(chunk.key, GroupState(*chunk.checkpoint, rows_ns), lasting=lasting)
+
+    def checkpoint(self, key: str) -> tuple[int, bytes] | None:
+        """The newest state and its instant (ns) of those whose rows are kept: a power cut may have taken the rows of a
+        newer one. Raises DataError where all are damaged.
+        """
+        name, _, part = key.partition(" ")
+        whole = (one for one in self.states.get(key) if self._has_rows(name, part, one.rows_ns))
+        return next(((one.time_ns, one.body) for one in whole), None)
+
+    def _has_rows(self, name: str, part: str, until_ns: int) -> bool:
+        """Whether rows of a part of a group are kept up to an instant."""
+        if until_ns == NO_ROWS_NS or any(
+            one.shown == part and one.t1_ns >= until_ns for one in self._pieces.packs(name)
+        ):
+            return True
+        numbers = np.flatnonzero(self._members_of(name, part))
+        for number in reversed(self._kept.days_of_group(name)):
+            for day in self._days.between(number, number):
+                if newest := [newest_ns for _, newest_ns in _newest_in(day, name, numbers)]:
+                    return max(newest) >= until_ns
+        return False
 
     def forget_newest(self) -> None:
         """What was thought to be kept may not be."""
@@ -102,8 +129,8 @@ class Groups:
 
     def _make_slot(self, name: str, number: int, packs: Sequence[Piece]) -> None:
         day = self._days.of(number)
-        points = newest_of([one.body for one in packs], 0, NOTHING_NS) > NOTHING_NS
-        after_ns = np.full(len(points), NOTHING_NS, dtype=np.int64)
+        points = newest_of([one.body for one in packs], 0, NO_ROWS_NS) > NO_ROWS_NS
+        after_ns = np.full(len(points), NO_ROWS_NS, dtype=np.int64)
         for point, newest_ns in _newest_in(day, name, np.flatnonzero(points)):
             after_ns[point] = newest_ns
         try:
@@ -136,25 +163,30 @@ class Groups:
             self._kept.note_members(chunk.name, chunk.part, members)
             self._members[chunk.key] = members
 
+    def _members_of(self, name: str, part: str) -> NDArray[np.bool_]:
+        """Which points of a part there are, by their number, whoever wrote them."""
+        first, step = stride(part)
+        members = self._kept.members(name)
+        return members & (np.arange(len(members)) % step == first)
+
     def _newest_kept(self, name: str, part: str) -> Nanoseconds:
         """The stamp of the newest row of each point of a part, by its number, whoever wrote it: another number of
         shards has other parts.
         """
-        first, step = stride(part)
-        members = self._kept.members(name)
-        members &= np.arange(len(members)) % step == first
+        members, (first, step) = self._members_of(name, part), stride(part)
         packs = self._pieces.packs(name)
-        newest_ns = newest_of((one.body for one in packs if one.shown == part), len(members), NOTHING_NS)
+        newest_ns = newest_of((one.body for one in packs if one.shown == part), len(members), NO_ROWS_NS)
         looked: list[Day] = []
         for number in self._kept.days_of_group(name)[: -LOOK_BACK_DAYS - 1 : -1]:
-            missing = np.flatnonzero(members & (newest_ns[: len(members)] == NOTHING_NS))
+            missing = np.flatnonzero(members & (newest_ns[: len(members)] == NO_ROWS_NS))
             for day in self._days.between(number, number) if len(missing) else ():
                 if day not in looked:
                     looked.append(day)
                     for one, one_ns in _newest_in(day, name, missing):
                         newest_ns[one] = one_ns
-        others = newest_of((one.body for one in packs if stride(one.shown)[1] != step), len(newest_ns), NOTHING_NS)
+        others = newest_of((one.body for one in packs if stride(one.shown)[1] != step), len(newest_ns), NO_ROWS_NS)
         others[: len(newest_ns)] = np.maximum(others[: len(newest_ns)], newest_ns)
+        others[np.arange(len(others)) % step != first] = NO_ROWS_NS
         return others
 
 

@@ -141,12 +141,13 @@ class Store:
         SYNC_S. After an exception any part of it may be kept, and it is to be written again. The chunks come first: a
         checkpoint is never newer than what it rests on. Raises StoreFault.
         """
+        synced = False
         try:
             new = [one for chunk in batch.chunks for one in self._new_rows(chunk)]
             packs = [one for chunk in batch.groups for one in self._groups.new_packs(chunk)]
             if new or packs:
                 self._points.update(one.key for one in batch.groups)
-                self._keep(new, packs)
+                synced = self._keep(new, packs)
             if batch.checkpoints:
                 self._pieces.sync()
         except BaseException:
@@ -154,8 +155,7 @@ class Store:
             self._groups.forget_newest()
             raise
         for group in batch.groups:
-            if group.checkpoint is not None:
-                self._groups.states.put(group.key, *group.checkpoint)
+            self._groups.put_state(group, lasting=synced)
         if batch.events:
             with self._site.transaction():
                 for point, event in batch.events:
@@ -177,8 +177,8 @@ class Store:
         self._newest[chunk.point, chunk.stream] = int(chunk.time_ns[-1])
         return chunk.split(BLOCK_S)
 
-    def _keep(self, new: Sequence[Chunk], packs: Sequence[Piece]) -> None:
-        """Append to the log; what is long enough there becomes blocks first."""
+    def _keep(self, new: Sequence[Chunk], packs: Sequence[Piece]) -> bool:
+        """Append to the log; what is long enough there becomes blocks first. Whether all is on the disk."""
         self._points.update(one.point for one in new)
         if not self._took_over:
             self._pieces.adopt(self._points)
@@ -192,7 +192,7 @@ class Store:
                 break
         for stream, t0_ns in begins:
             self._begun.setdefault(stream, t0_ns)
-        self._pieces.add(new, packs)
+        return self._pieces.add(new, packs)
 
     def take_over(self) -> list[int]:
         """Make blocks of what ended processes left in their logs; how many pieces each had."""
@@ -473,7 +473,7 @@ class Store:
 
     def group_checkpoint(self, key: str) -> tuple[int, bytes] | None:
         """A group's newest state, by `GroupChunk.key`, and its instant (ns). Raises DataError for a damaged one."""
-        return self._groups.states.get(key)
+        return self._groups.checkpoint(key)
 
 
 def open_store(
