@@ -26,6 +26,8 @@ DIVISIONS = (
 )
 # A server that hears nothing of a client's machine for 25 s ends its session, which lets its points go.
 KEEP_ALIVE = "SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 3"
+# PostgreSQL's code for a disk without room; rows that are deleted by one statement.
+DISK_FULL, DELETED_AT_ONCE = "53100", 10_000
 
 Row = tuple[Any, ...]
 
@@ -133,44 +135,34 @@ class PostgresDatabase:
     def __init__(self, url: str, begin: Callable[[Any], None] = lambda _: None) -> None:
         self._url, self._begin = url, begin
         self._connection: Any = None
-        self._opened()
+        with self._session():
+            pass
 
     def execute(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
         """Run one statement; returns its rows."""
-        import psycopg
-
         text = sql.replace("{blob}", "BYTEA").replace("?", "%s")
-        try:
-            with self._opened().cursor() as cursor:
-                cursor.execute(text, tuple(values))
-                return cursor.fetchall() if cursor.description else []
-        except psycopg.OperationalError as error:
-            self.close()
-            raise _unavailable(error) from None
+        with self._session() as session, session.cursor() as cursor:
+            cursor.execute(text, tuple(values))
+            return cursor.fetchall() if cursor.description else []
 
     def execute_many(self, sql: str, rows: Sequence[Sequence[Any]]) -> None:
         """Run one statement with the values of each row."""
-        import psycopg
-
-        try:
-            with self._opened().cursor() as cursor:
-                cursor.executemany(sql.replace("?", "%s"), rows)
-        except psycopg.OperationalError as error:
-            self.close()
-            raise _unavailable(error) from None
+        with self._session() as session, session.cursor() as cursor:
+            cursor.executemany(sql.replace("?", "%s"), rows)
 
     def copy(self, table: str, types: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """Add rows to a table by COPY, within a transaction; types: of its columns."""
-        import psycopg
+        sql = f"COPY {table} FROM STDIN (FORMAT BINARY)"
+        with self._session() as session, session.cursor() as cursor, cursor.copy(sql) as copying:
+            copying.set_types(types)
+            for row in rows:
+                copying.write_row(row)
 
-        try:
-            with self._opened().cursor() as cursor, cursor.copy(f"COPY {table} FROM STDIN (FORMAT BINARY)") as copying:
-                copying.set_types(types)
-                for row in rows:
-                    copying.write_row(row)
-        except psycopg.OperationalError as error:
-            self.close()
-            raise _unavailable(error) from None
+    def delete(self, table: str, condition: str, values: Sequence[Any]) -> None:
+        """Delete rows in steps, so that no statement takes long."""
+        some = f"ctid = ANY (ARRAY (SELECT ctid FROM {table} WHERE {condition} LIMIT {DELETED_AT_ONCE}))"
+        while self.execute(f"DELETE FROM {table} WHERE {some} AND {condition} RETURNING 1", (*values, *values)):
+            pass
 
     def create(self, tables: Sequence[str]) -> None:
         """Run the statements that make tables where there are none: one process after another, as two that make the
@@ -188,14 +180,8 @@ class PostgresDatabase:
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """A block whose statements take effect together, or not at all."""
-        import psycopg
-
-        try:
-            with self._opened().transaction():
-                yield
-        except psycopg.OperationalError as error:
-            self.close()
-            raise _unavailable(error) from None
+        with self._session() as session, session.transaction():
+            yield
 
     def close(self) -> None:
         """Let the connection go."""
@@ -204,29 +190,35 @@ class PostgresDatabase:
                 self._connection.close()
         self._connection = None
 
-    def _opened(self) -> Any:
+    @contextmanager
+    def _session(self) -> Iterator[Any]:
+        """The connection, opened where there is none; what goes wrong with it or its server ends it, as StoreFault."""
         import psycopg
 
+        try:
+            yield self._opened()
+        except (psycopg.OperationalError, psycopg.InterfaceError, psycopg.InternalError) as error:
+            self.close()
+            raise _unavailable(error) from None
+
+    def _opened(self) -> Any:
+        from midspan.store.session import LINE, Session
+
         if self._connection is None or self._connection.closed:
-            try:
-                connection = psycopg.connect(self._url, autocommit=True, connect_timeout=round(WAIT_S))
-            except psycopg.OperationalError as error:
-                raise _unavailable(error) from None
+            connection = Session.connect(self._url, autocommit=True, connect_timeout=round(WAIT_S), **LINE)
             try:
                 self._begin(connection)
-            except BaseException as error:
+            except BaseException:
                 connection.close()
-                if isinstance(error, psycopg.OperationalError):
-                    raise _unavailable(error) from None
                 raise
             self._connection = connection
         return self._connection
 
 
-def _unavailable(error: Exception) -> StoreFault:
+def _unavailable(error: Any) -> StoreFault:
     # The first line says what; the address stays out, it may hold a password.
     line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-    code = "store_full" if "No space left" in line else "store_unavailable"
+    code = "store_full" if error.sqlstate == DISK_FULL else "store_unavailable"
     return StoreFault(code, f"PostgreSQL: the store cannot be used ({line}).")
 
 
@@ -332,8 +324,11 @@ def lock_in_session(connection: Any, points: Sequence[str], division: Division |
     """Lock points, and the site's division, for as long as a connection to PostgreSQL lasts. Raises UsageError as
     `FileLocks` does.
     """
+    from midspan.store.session import STATEMENT_S
+
     if points:
         connection.execute(KEEP_ALIVE)
+        connection.execute(f"SET statement_timeout = {round(1e3 * STATEMENT_S)}")
     for point in points:
         if not connection.execute("SELECT pg_try_advisory_lock(%s)", (lock_number(point),)).fetchone()[0]:
             raise _is_written(SERVER, point)
