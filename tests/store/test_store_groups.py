@@ -5,6 +5,8 @@ import signal
 import subprocess
 import sys
 import textwrap
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -20,7 +22,7 @@ from midspan.service.stored_recording import stored_table
 from midspan.store import group_state, pieces
 from midspan.store.archive import archive
 from midspan.store.chunk import Chunk
-from midspan.store.database import Division, StoreFault
+from midspan.store.database import Division, PostgresDatabase, SqliteDatabase, StoreFault
 from midspan.store.days import BLOCK_S, DAY_NS
 from midspan.store.group_rows import GroupChunk, in_slots, newer, packed, part_of_pack, unpacked
 from midspan.store.store import Batch, open_store
@@ -435,6 +437,59 @@ def test_a_kill_while_blocks_are_made_doubles_nothing(tmp_path, monkeypatch):
     with open_store_closing(where) as read:
         for point in (0, 3):
             assert_rows(read, point, 0, 401 * RATE_HZ)
+
+
+def histories(where):
+    """All of the pyramid, and the days of the group."""
+    store = open_store(where, read_only=True)
+    rows = store._site.execute("SELECT point, stream, level, t0_ns, low, high FROM pyramid ORDER BY 1, 2, 3, 4")
+    days = store._kept.days_of_group("north")
+    store.close()
+    return rows, days
+
+
+def peaks(first, last):
+    """Rows of which those of the first minute are the least and largest, and some in each further block as well."""
+    rows = rows_of([0, 3], first, last)
+    value = rows.displacement_m / (1 + np.tile(np.arange(first, last) // (60 * RATE_HZ), 2))
+    return GroupChunk("north", replace(rows, displacement_m=value))
+
+
+@pytest.mark.parametrize("of_ended", range(6))
+def test_a_kill_between_transactions_costs_no_peak_of_a_history(store_at, tmp_path, monkeypatch, of_ended):
+    places, ended = [tmp_path / "undisturbed", store_at], [0]
+    for where in places:
+        store = open_store(where, points=["north"])
+        store.write(Batch(groups=[peaks(0, 400 * RATE_HZ), peaks(400 * RATE_HZ, 800 * RATE_HZ)]))
+        if where == store_at:
+            for kind in (SqliteDatabase, PostgresDatabase):
+                monkeypatch.setattr(kind, "transaction", until(kind.transaction, ended, of_ended))
+            with suppress(StoreFault):
+                store.flush()
+            monkeypatch.undo()
+            killed(store)
+        else:
+            store.close()
+    for where in places:
+        store = open_store(where, points=["north"])
+        store.write(Batch(groups=[peaks(800 * RATE_HZ, 801 * RATE_HZ)]))
+        assert store.count("north-3", "rows", BEGIN_NS, BEGIN_NS + DAY_NS) == 801 * RATE_HZ
+        store.close()
+    assert histories(places[0]) == histories(places[1])
+
+
+def until(transaction, ended, count):
+    """Transactions of which none is begun after so many have ended."""
+
+    @contextmanager
+    def counted(database):
+        if ended[0] == count:
+            raise StoreFault("store_unavailable", "killed")
+        with transaction(database):
+            yield
+        ended[0] += 1
+
+    return counted
 
 
 def test_a_full_disk_keeps_the_state_before(tmp_path, monkeypatch):

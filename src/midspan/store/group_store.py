@@ -120,7 +120,8 @@ class Groups:
 
     def make_blocks(self, packs: Sequence[Piece]) -> None:
         """Make blocks of packs in the order of their writing; those that are blocks already are left out. Each slot's
-        are in one transaction, so that it may be done again after a kill in the middle.
+        are in one transaction, after what the site's file says of them, so that it may be done again after a kill in
+        the middle.
         """
         for name in sorted({one.point for one in packs}):
             own = [one for one in packs if one.point == name]
@@ -141,16 +142,17 @@ class Groups:
             (member_name(name, point), ROWS, t0_ns, t1_ns, count, low, high, summary.packed(seconds), pack)
             for point, t0_ns, t1_ns, count, low, high, seconds, pack in found
         ]
-        with day.database.transaction():
-            day.insert_blocks(number, rows)
         limits = [
             (member_name(name, point), t0_ns, low, high)
             for point, t0_ns, _, _, low, high, *_ in found
             if low is not None and high is not None
         ]
+        # First, as this may be done again: of packs that are blocks already the next time gives no limits.
         with self._kept.transaction():
             self._kept.note([(name, GROUP, number)])
             self._pyramid.widen(ROWS, limits)
+        with day.database.transaction():
+            day.insert_blocks(number, rows)
 
     def _note(self, chunk: GroupChunk, point: NDArray[np.uint32]) -> None:
         """Keep which points there are, before anything of new ones is."""

@@ -207,6 +207,8 @@ class Store:
         if not self._begun:
             return
         pieces = self._pieces.own(sorted(self._points))
+        # What the site's file says of rows is to outlive no row.
+        self._pieces.sync()
         self._make_blocks(pieces)
         self._pieces.clear(pieces)
         self._begun.clear()
