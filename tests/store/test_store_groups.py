@@ -537,6 +537,30 @@ def test_damage_is_found_and_repaired(tmp_path):
     store.close()
 
 
+@pytest.mark.parametrize("lost", ["", "DELETE FROM grouped"])
+def test_repair_keeps_the_days_of_a_group(tmp_path, lost):
+    """Without them a restart would look for the newest rows nowhere, and keep rows twice; lost: of a damaged file."""
+    where = tmp_path / "store"
+    store = open_store(where, points=["north"])
+    point = Chunk("deck-1", "rows", BEGIN_NS + np.arange(3), {"displacement_m": np.zeros(3)}, 0, "displacement_m")
+    store.write(Batch([point], groups=[GroupChunk("north", rows_of([0, 3], -5 * RATE_HZ, 5 * RATE_HZ))]))
+    store.flush()
+    before, days = histories(where)
+    store._site.execute(lost or "SELECT 1")
+    store.close()
+    repair(str(where))
+    assert histories(where) == (before, days)
+    assert days == [20_699, 20_700]
+    store = open_store(where, points=["north"])
+    assert store.groups == ["north"]
+    assert store.points == ["deck-1", "north-0", "north-3"]
+    assert store.days("north-3", "rows") == days
+    store.write(Batch(groups=[GroupChunk("north", rows_of([0, 3], 0, 6 * RATE_HZ))]))
+    for number in (0, 3):
+        assert_rows(store, number, 0, 6 * RATE_HZ)
+    store.close()
+
+
 def test_a_copy_and_an_archive_have_the_points_of_groups(tmp_path):
     where = tmp_path / "store"
     store = open_store(where, points=["north"])
