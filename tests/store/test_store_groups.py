@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from midspan import _core
 from midspan.errors import DataError
-from midspan.records import NANOSECONDS, GroupRows
+from midspan.records import NANOSECONDS, GroupRows, member_of
 from midspan.service.keeping import Keeper
 from midspan.service.stored_recording import stored_table
 from midspan.store import group_state, pieces
@@ -682,6 +682,28 @@ def test_realistic_rows_take_three_bytes_at_most():
 
 def test_slots_of_a_block_are_parts_of_a_day():
     assert DAY_NS % round(BLOCK_S * NANOSECONDS) == 0
+
+
+def test_a_name_means_a_point_of_a_group_in_one_form_alone():
+    assert member_of("north-0") == ("north", 0)
+    assert member_of("pier-2-17") == ("pier-2", 17)
+    for name in ("north", "north-", "north-017", "north-+1", "north-²", "-1", "north-1_0", "north-" + 30 * "9"):
+        assert member_of(name) is None
+
+
+def test_the_export_names_groups_of_many_points_by_their_range(tmp_path, capsys):
+    from midspan.cli.main import run
+
+    where = str(tmp_path / "store")
+    store = open_store(where, points=["north"])
+    point = Chunk("deck", "rows", BEGIN_NS + np.arange(3), {"displacement_m": np.zeros(3)}, 0, "displacement_m")
+    store.write(Batch([point], groups=[GroupChunk("north", rows_of(range(3, 1000), 0, 2))]))
+    store.close()
+    for arguments, text in (([], "; the store has several points"), (["--point", "north-1000"], "; received")):
+        assert run(["export", where, *arguments]) == 2
+        reported = capsys.readouterr().err
+        assert f"--point must be one of deck, north-3 to north-999 (997 points){text}" in reported
+        assert len(reported) < 400
 
 
 def test_the_page_and_the_export_read_a_point_of_a_group_as_any_other(tmp_path):

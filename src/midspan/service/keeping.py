@@ -36,8 +36,8 @@ class Keeper:
     """`put` never waits; `write` writes what waits. Whoever uses the store waits for the thread that does so already: a
     connection of SQLite that is closed in the middle of a statement of another thread ends the process.
 
-    points: that it writes, locked as long as the store is open, as is the site's division. reason: why the store is away, empty while it takes
-    everything; dropped: batches that were lost.
+    points: that it writes, locked as long as the store is open, as is the site's division. reason: why the store is
+    away, empty while it takes everything; dropped: batches that were lost.
     """
 
     def __init__(self, where: str, points: Sequence[str] = (), division: Division | None = None) -> None:

@@ -1,13 +1,14 @@
 """The newest states of each group in three files of a folder: one of them is whole, however a process ends.
 
-Written in place each second, most of them never reach the disk: the kernel writes what it holds every few seconds, and a
-state perhaps before the rows that lead to it. So each says which rows those are, and the lasting one, which is
+Written in place each second, most of them never reach the disk: the kernel writes what it holds every few seconds, and
+perhaps a state before the rows that lead to it. So each says which rows those are, and the lasting one, which is
 synchronised after its rows, stays until there is the next lasting one.
 """
 
 import os
 import struct
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,7 +35,7 @@ class GroupState:
 
 @dataclass(slots=True)
 class _Files:
-    """The open files of a group, the number of the newest writing, and which file has that and which the lasting one."""
+    """The open files of a group, the number of the newest state, and which file has that and which the lasting one."""
 
     files: list[int]
     number: int = 0
@@ -79,11 +80,9 @@ class StateFiles:
         """Let the files go; what they have is brought to the disk."""
         for group in self._open.values():
             for file in group.files:
-                try:
+                # Where it cannot be, the lasting state is there.
+                with suppress(OSError):
                     os.fsync(file)
-                except OSError:
-                    # The lasting state is there.
-                    pass
                 os.close(file)
         self._open.clear()
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from midspan import _core
 from midspan.errors import DataError
-from midspan.records import Nanoseconds
+from midspan.records import Nanoseconds, member_name
 from midspan.store import summary
 from midspan.store.database import Database
 from midspan.store.days import BLOCK_S, DAY_NS, Day, Days
@@ -20,7 +20,6 @@ from midspan.store.group_rows import (
     grown,
     in_slots,
     length_ns,
-    member_name,
     newer,
     newest_of,
     packed,
@@ -169,7 +168,7 @@ class Groups:
         """Which points of a part there are, by their number, whoever wrote them."""
         first, step = stride(part)
         members = self._kept.members(name)
-        return members & (np.arange(len(members)) % step == first)
+        return np.logical_and(members, np.arange(len(members)) % step == first)
 
     def _newest_kept(self, name: str, part: str) -> Nanoseconds:
         """The stamp of the newest row of each point of a part, by its number, whoever wrote it: another number of

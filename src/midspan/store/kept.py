@@ -6,9 +6,10 @@ from contextlib import AbstractContextManager
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.records import member_of
 from midspan.store.database import Database
 from midspan.store.days import DAY_NS, Day, Days
-from midspan.store.group_rows import GROUP, MAGIC, ROWS, grown, member_names, member_of
+from midspan.store.group_rows import GROUP, MAGIC, ROWS, grown, member_names
 from midspan.store.pieces import Pieces
 
 Place = tuple[str, str, int]

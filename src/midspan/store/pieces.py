@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from midspan.records import NANOSECONDS
+from midspan.records import NANOSECONDS, member_of
 from midspan.store.chunk import Chunk, Layout, body_of, chunk_of, encode, layout_of, span_of
 from midspan.store.database import PostgresDatabase, StoreFault, lock_file, lock_number, locked, sqlite_faults
-from midspan.store.group_rows import GROUP, ROWS, SHOWN, decoded, member_of, part_of_pack, stride
+from midspan.store.group_rows import GROUP, ROWS, SHOWN, decoded, part_of_pack, stride
 from midspan.store.seconds import merge
 
 LOGS = "log"

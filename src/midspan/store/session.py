@@ -10,7 +10,7 @@ import psycopg
 # hears nothing for longer than that ends itself.
 STATEMENT_S, SILENT_S = 30.0, 40.0
 # What is sent over a line that is cut is given up after 25 s, as is a line on which nothing is sent.
-LINE = {
+LINE: dict[str, Any] = {
     "keepalives": 1, "keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 3, "tcp_user_timeout": 25_000,
 }  # fmt: skip
 
