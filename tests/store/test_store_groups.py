@@ -342,18 +342,19 @@ def test_after_a_power_cut_the_state_is_not_newer_than_its_rows(tmp_path, monkey
         real(file)
 
     monkeypatch.setattr(os, "fsync", fsync)
-    store = open_store(where, points=["north"])
+    store = open_store(where, points=["north", "south"])
     for number in range(seconds):
+        store.write(Batch(groups=[replace(second(number), name="south")]))
         store.write(Batch(groups=[second(number)]))
     killed(store)
     (log,) = (where / "log").glob("*.log")
     os.truncate(log, synced[-1])
     store = open_store(where, points=["north"])
     newest_ns, state = store.newest_ns("north-17", "rows"), store.group_checkpoint("north")
-    kept = 0 if newest_ns is None else round((newest_ns - BEGIN_NS) / NANOSECONDS)
+    kept = round((newest_ns - BEGIN_NS) / NANOSECONDS)
     assert seconds - kept <= pieces.SYNC_S
-    # Without rows on the disk there is no state, else that which they lead to.
-    assert state == (None if not kept else (BEGIN_NS + kept * NANOSECONDS, b"state %d" % (kept - 1)))
+    assert state == (BEGIN_NS + kept * NANOSECONDS, b"state %d" % (kept - 1))
+    assert store.group_checkpoint("south") is not None
     for number in range(kept, kept + 3):
         store.write(Batch(groups=[second(number)]))
         assert store.group_checkpoint("north")[1] == b"state %d" % number

@@ -345,7 +345,7 @@ def lock_in_session(connection: Any, points: Sequence[str], division: Division |
 
 
 def lock_number(name: str, size: int = 8) -> int:
-    """The number of an advisory lock, of so many bytes: one of 64 bits, or half of one."""
+    """The number of an advisory lock by its name; size: 8 bytes, or 4 for one half of two."""
     return int.from_bytes(hashlib.blake2b(f"midspan {name}".encode(), digest_size=size).digest(), signed=True)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from midspan import _core
 from midspan.errors import DataError
-from midspan.records import Nanoseconds, member_name
+from midspan.records import NANOSECONDS, Nanoseconds, member_name
 from midspan.store import summary
 from midspan.store.database import Database
 from midspan.store.days import BLOCK_S, DAY_NS, Day, Days
@@ -28,7 +28,7 @@ from midspan.store.group_rows import (
 from midspan.store.group_state import NO_ROWS_NS, GroupState, StateFiles
 from midspan.store.kept import Kept
 from midspan.store.parts import keep_checkpoint, kept_checkpoint
-from midspan.store.pieces import Piece, Pieces, pack_piece
+from midspan.store.pieces import SYNC_S, Piece, Pieces, pack_piece
 from midspan.store.pyramid import Pyramid
 
 SLOT_NS = length_ns(BLOCK_S)
@@ -66,6 +66,8 @@ class Groups:
         # By the key of the group.
         self._newest: dict[str, Nanoseconds] = {}
         self._members: dict[str, NDArray[np.bool_]] = {}
+        # The instant of the newest lasting state.
+        self._lasting_ns: dict[str, int] = {}
 
     def new_packs(self, chunk: GroupChunk) -> list[Piece]:
         """The rows that are not kept yet as packs, none of which reaches over the end of a block.
@@ -86,11 +88,20 @@ class Groups:
         self._newest[chunk.key] = newest_ns
         return packs
 
+    def is_due(self, chunk: GroupChunk) -> bool:
+        """Whether the state that a chunk leads to should last: it is the first one, or the last such is old."""
+        lasting_ns = self._lasting_ns.get(chunk.key)
+        return chunk.checkpoint is not None and (
+            lasting_ns is None or abs(chunk.checkpoint[0] - lasting_ns) >= SYNC_S * NANOSECONDS
+        )
+
     def put_state(self, chunk: GroupChunk, *, lasting: bool) -> None:
         """Keep the state that a chunk leads to, after its rows; lasting: these are on the disk. Raises StoreFault."""
         if chunk.checkpoint is not None:
             rows_ns = int(self._newest[chunk.key].max(initial=NO_ROWS_NS))
             self.states.put(chunk.key, GroupState(*chunk.checkpoint, rows_ns), lasting=lasting)
+            if lasting:
+                self._lasting_ns[chunk.key] = chunk.checkpoint[0]
 
     def checkpoint(self, key: str) -> tuple[int, bytes] | None:
         """The newest state and its instant (ns) of those whose rows are kept: a power cut may have taken the rows of a
@@ -168,7 +179,8 @@ class Groups:
         """Which points of a part there are, by their number, whoever wrote them."""
         first, step = stride(part)
         members = self._kept.members(name)
-        return np.logical_and(members, np.arange(len(members)) % step == first)
+        members[np.arange(len(members)) % step != first] = False
+        return members
 
     def _newest_kept(self, name: str, part: str) -> Nanoseconds:
         """The stamp of the newest row of each point of a part, by its number, whoever wrote it: another number of

@@ -99,6 +99,7 @@ class FilePieces:
     _layouts: dict[bytes, int] = field(default_factory=dict)
     _size: int = 0
     _synced_ns: int | None = None
+    _is_synced: bool = False
     _with_groups: bool = False
 
     @property
@@ -106,8 +107,8 @@ class FilePieces:
         """Whether what this process has added should become blocks."""
         return self._size > (MAX_GROUP_LOG_BYTES if self._with_groups else MAX_LOG_BYTES)
 
-    def add(self, chunks: Sequence[Chunk], packs: Sequence[Piece] = ()) -> bool:
-        """Append chunks and packs of groups, all or none; whether all is on the disk. Raises StoreFault."""
+    def add(self, chunks: Sequence[Chunk], packs: Sequence[Piece] = ()) -> None:
+        """Append chunks and packs of groups, all or none. Raises StoreFault."""
         if self.read_only:
             raise StoreFault("store_unavailable", f"{self.folder.parent}: the store is open read-only.")
         before = dict(self._layouts)
@@ -129,17 +130,17 @@ class FilePieces:
             newest_ns = max([int(chunk.time_ns[-1]) for chunk in chunks] + [one.t1_ns for one in packs])
             if self._synced_ns is None:
                 self._synced_ns = newest_ns
-            if abs(newest_ns - self._synced_ns) < SYNC_S * NANOSECONDS:
-                return False
-            self.sync()
-            self._synced_ns = newest_ns
-            return True
+            self._is_synced = False
+            if abs(newest_ns - self._synced_ns) >= SYNC_S * NANOSECONDS:
+                self.sync()
+                self._synced_ns = newest_ns
 
     def sync(self) -> None:
         """Bring what was added to the disk. Raises StoreFault."""
-        if self._file is not None:
+        if self._file is not None and not self._is_synced:
             with sqlite_faults(self.folder):
                 os.fsync(self._file)
+            self._is_synced = True
 
     def of(self, point: str, stream: str) -> list[Piece]:
         """A stream's pieces in all logs, in the order of time."""
@@ -196,7 +197,7 @@ class FilePieces:
         if self._file is not None:
             with sqlite_faults(self.folder):
                 os.ftruncate(self._file, 0)
-        self._layouts, self._size, self._with_groups = {}, 0, False
+        self._layouts, self._size, self._is_synced, self._with_groups = {}, 0, False, False
 
     def close(self) -> None:
         """Let the log go; it is removed where it is empty."""
@@ -365,8 +366,8 @@ class TablePieces:
         """Whether what this process has added should become blocks."""
         return self._size > MAX_LOG_BYTES or self._group_size > MAX_TABLE_BYTES
 
-    def add(self, chunks: Sequence[Chunk], packs: Sequence[Piece] = ()) -> bool:
-        """Add chunks and packs of groups, all or none; that all is on the server's disk. Raises StoreFault."""
+    def add(self, chunks: Sequence[Chunk], packs: Sequence[Piece] = ()) -> None:
+        """Add chunks and packs of groups, all or none. Raises StoreFault."""
         with self.database.transaction():
             for chunk in chunks:
                 body = encode(chunk)
@@ -382,7 +383,6 @@ class TablePieces:
                 place = (one.point, one.shown)
                 self.database.execute(sql, (*place, *place, one.t0_ns, one.t1_ns, one.body))
                 self._group_size += len(one.body)
-        return True
 
     def sync(self) -> None:
         """What was added is on the server's disk."""

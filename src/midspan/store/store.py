@@ -141,21 +141,21 @@ class Store:
         SYNC_S. After an exception any part of it may be kept, and it is to be written again. The chunks come first: a
         checkpoint is never newer than what it rests on. Raises StoreFault.
         """
-        synced = False
+        lasting = [one.key for one in batch.groups if self._groups.is_due(one)]
         try:
             new = [one for chunk in batch.chunks for one in self._new_rows(chunk)]
             packs = [one for chunk in batch.groups for one in self._groups.new_packs(chunk)]
             if new or packs:
                 self._points.update(one.key for one in batch.groups)
-                synced = self._keep(new, packs)
-            if batch.checkpoints:
+                self._keep(new, packs)
+            if batch.checkpoints or lasting:
                 self._pieces.sync()
         except BaseException:
             self._newest.clear()
             self._groups.forget_newest()
             raise
         for group in batch.groups:
-            self._groups.put_state(group, lasting=synced)
+            self._groups.put_state(group, lasting=group.key in lasting)
         if batch.events:
             with self._site.transaction():
                 for point, event in batch.events:
@@ -177,8 +177,8 @@ class Store:
         self._newest[chunk.point, chunk.stream] = int(chunk.time_ns[-1])
         return chunk.split(BLOCK_S)
 
-    def _keep(self, new: Sequence[Chunk], packs: Sequence[Piece]) -> bool:
-        """Append to the log; what is long enough there becomes blocks first. Whether all is on the disk."""
+    def _keep(self, new: Sequence[Chunk], packs: Sequence[Piece]) -> None:
+        """Append to the log; what is long enough there becomes blocks first."""
         self._points.update(one.point for one in new)
         if not self._took_over:
             self._pieces.adopt(self._points)
@@ -192,7 +192,7 @@ class Store:
                 break
         for stream, t0_ns in begins:
             self._begun.setdefault(stream, t0_ns)
-        return self._pieces.add(new, packs)
+        self._pieces.add(new, packs)
 
     def take_over(self) -> list[int]:
         """Make blocks of what ended processes left in their logs; how many pieces each had."""
