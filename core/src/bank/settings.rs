@@ -10,7 +10,7 @@ pub struct Settings {
     pub acceleration_std: f64,
     /// Standard deviation of the displacement's noise, a measurement, m.
     pub displacement_std: f64,
-    /// Standard deviation of the displacement's slow error before any is measured, m.
+    /// Standard deviation of the displacement's slow error, m; more shows in its innovations.
     pub slow_std: f64,
     /// Its correlation time, s.
     pub slow_time_s: f64,
