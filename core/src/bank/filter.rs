@@ -119,7 +119,7 @@ impl Filter {
             aside: [0.0; 2],
             age_s: 0.0,
             noise: Noise::new(settings),
-            energy: (settings.acceleration_std * settings.acceleration_std) as f32,
+            energy: (settings.acceleration_std_m_s2 * settings.acceleration_std_m_s2) as f32,
             unconfirmed: 0.0,
             repeats: 0,
             accepted: 0,
@@ -184,7 +184,7 @@ impl Filter {
     /// Density of the acceleration's noise, (m/s²)²/Hz; step_s: from one sample to the next.
     #[inline]
     fn density(&self, step_s: f64, settings: &Settings) -> f64 {
-        settings.acceleration_std * settings.acceleration_std * step_s * self.noise.colour()
+        settings.acceleration_std_m_s2 * settings.acceleration_std_m_s2 * step_s * self.noise.colour()
     }
 
     /// Begins with a sample: where the structure is, the next measurement tells.

@@ -127,7 +127,7 @@ impl Noise {
 /// Stated variance of the slow error, in that of the noise.
 #[inline]
 fn stated_slow(settings: &Settings) -> f64 {
-    (settings.slow_std / settings.displacement_std).powi(2).min(MAX_SLOW)
+    (settings.slow_std_m / settings.displacement_std_m).powi(2).min(MAX_SLOW)
 }
 
 /// Probability that an innovation of this variance is not an outlier's; doubtful: the one before was.
