@@ -72,6 +72,9 @@ class GroupSettings(Section):
         description="σ of an accelerometer's noise per sample; larger trusts it less"
     )
     displacement_noise_std: Noise = Field(description="σ of a displacement's noise; larger trusts it less")
+    displacement_slow_std: Noise | None = Field(
+        None, description="σ of its slow error, as multipath of GNSS. Default: as large as its noise"
+    )
 
 
 @dataclass(frozen=True, slots=True)
