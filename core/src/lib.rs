@@ -9,6 +9,7 @@ pub mod estimator;
 pub mod likelihood;
 pub mod packed;
 pub mod radar;
+pub mod rows;
 pub mod scene;
 pub mod signals;
 pub mod track;

@@ -9,10 +9,10 @@ pub mod rounding;
 pub mod rows;
 pub mod settings;
 
+use crate::rows::Rows;
 use events::{Code, Event};
 use filter::{Filter, ROWS_LOST_S};
 use queue::{Queue, Reading, is_hole};
-use rows::Rows;
 use serde::{Deserialize, Serialize};
 use settings::Settings;
 

@@ -1,7 +1,8 @@
-//! Rows of all points as runs: evenly timed rows of one point with one status.
+//! The rows of all points as runs: evenly timed rows of one point with one status.
 
 use super::rounding::{round_to, round_up};
 use crate::Status;
+use crate::rows::Rows;
 
 /// A row of a point, SI.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,33 +21,12 @@ pub struct Row {
     pub status: Status,
 }
 
-/// Runs (k,) and their rows (sum of count,), one after another.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Rows {
-    /// Number of the point (k,).
-    pub point: Vec<u32>,
-    /// Stamp of the first row (k,), ns.
-    pub t0_ns: Vec<i64>,
-    /// From one row to the next (k,), ns.
-    pub dt_ns: Vec<i64>,
-    /// How many rows (k,).
-    pub count: Vec<u32>,
-    /// What they rest on (k,).
-    pub status: Vec<u8>,
-    /// Displacement, m.
-    pub displacement: Vec<f64>,
-    /// Its standard deviation, m.
-    pub std: Vec<f64>,
-    /// Velocity, m/s.
-    pub velocity: Vec<f64>,
-}
-
 impl Rows {
     /// Takes memory for this many rows.
     pub fn reserve(&mut self, rows: usize) {
-        self.displacement.reserve(rows);
-        self.std.reserve(rows);
-        self.velocity.reserve(rows);
+        for column in &mut self.columns {
+            column.reserve(rows);
+        }
     }
 
     /// Adds a row of a point; step_ns: from one sample to the next, where it is the only row of a run.
@@ -54,14 +34,13 @@ impl Rows {
     pub fn add(&mut self, point: u32, row: &Row, step_ns: i64, rounded: bool) {
         self.place(point, row, step_ns);
         let std = row.variance.sqrt();
-        if rounded {
-            self.displacement.push(round_to(row.displacement, row.variance));
-            self.std.push(round_up(std));
-            self.velocity.push(round_to(row.velocity, row.velocity_variance));
+        let values = if rounded {
+            [round_to(row.displacement, row.variance), round_up(std), round_to(row.velocity, row.velocity_variance)]
         } else {
-            self.displacement.push(row.displacement);
-            self.std.push(std);
-            self.velocity.push(row.velocity);
+            [row.displacement, std, row.velocity]
+        };
+        for (column, value) in self.columns.iter_mut().zip(values) {
+            column.push(value);
         }
     }
 

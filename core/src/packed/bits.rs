@@ -7,45 +7,6 @@ const ESCAPE: u32 = 24;
 /// Largest parameter of a Rice code.
 pub const MAX_RICE: u32 = 32;
 
-const CRC: [[u32; 256]; 4] = crc_tables();
-
-const fn crc_tables() -> [[u32; 256]; 4] {
-    let mut tables = [[0; 256]; 4];
-    let mut n = 0;
-    while n < 256 {
-        let (mut sum, mut bit) = (n as u32, 0);
-        while bit < 8 {
-            sum = if sum & 1 == 1 { 0xEDB8_8320 ^ (sum >> 1) } else { sum >> 1 };
-            bit += 1;
-        }
-        tables[0][n] = sum;
-        n += 1;
-    }
-    n = 0;
-    while n < 256 {
-        let mut k = 1;
-        while k < 4 {
-            let before = tables[k - 1][n];
-            tables[k][n] = (before >> 8) ^ tables[0][(before & 255) as usize];
-            k += 1;
-        }
-        n += 1;
-    }
-    tables
-}
-
-/// CRC-32, four bytes at a time.
-pub fn crc32(data: &[u8]) -> u32 {
-    let words = data.chunks_exact(4);
-    let rest = words.remainder();
-    let sum = words.fold(!0, |sum: u32, word| {
-        let mixed = sum ^ u32::from_le_bytes([word[0], word[1], word[2], word[3]]);
-        let [a, b, c, d] = mixed.to_le_bytes().map(usize::from);
-        CRC[3][a] ^ CRC[2][b] ^ CRC[1][c] ^ CRC[0][d]
-    });
-    !rest.iter().fold(sum, |sum, &byte| CRC[0][usize::from(sum as u8 ^ byte)] ^ (sum >> 8))
-}
-
 /// Small numbers of both signs as small ones.
 pub fn zigzag(value: i64) -> u64 {
     ((value << 1) ^ (value >> 63)) as u64
@@ -211,11 +172,6 @@ impl<'a> RiceReader<'a> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-
-    #[test]
-    fn crc_is_that_of_the_standard() {
-        assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
-    }
 
     proptest! {
         #[test]

@@ -1,9 +1,10 @@
 //! A pack: an index with the point and the length of each, then their parts. Packs of later rows are joined by point.
 
-use super::bits::{Reader, crc32, put_number};
+use super::Fault;
+use super::bits::{Reader, put_number};
 use super::part::{self, Run, Span, parts};
 use super::seconds::seconds;
-use super::{Fault, Rows, RowsRef};
+use crate::rows::{Rows, RowsRef};
 
 /// How a pack begins; then the index's check sum and length, the index (number of points, of each the steps from the
 /// point before, and the length of its parts), and the parts.
@@ -71,7 +72,7 @@ fn head(areas: &[(u32, usize)]) -> Vec<u8> {
     let size: usize = areas.iter().map(|&(_, length)| length).sum();
     let mut out = Vec::with_capacity(12 + index.len() + size);
     out.extend_from_slice(&MAGIC);
-    out.extend_from_slice(&crc32(&index).to_le_bytes());
+    out.extend_from_slice(&crc32fast::hash(&index).to_le_bytes());
     out.extend_from_slice(&(index.len() as u32).to_le_bytes());
     out.extend_from_slice(&index);
     out
@@ -86,7 +87,7 @@ fn areas(pack: &[u8]) -> Result<Areas<'_>, Fault> {
     let sum = u32::from_le_bytes(reader.array()?);
     let length = u32::from_le_bytes(reader.array()?) as usize;
     let index = reader.take(length)?;
-    if crc32(index) != sum {
+    if crc32fast::hash(index) != sum {
         return Err(Fault::Checksum);
     }
     let mut index = Reader(index);

@@ -1,7 +1,8 @@
 //! The rows of one point in a pack: runs, then the columns; and a check sum of both.
 
-use super::bits::{Reader, crc32, put_number, unzigzag, zigzag};
-use super::{Fault, Rows, column};
+use super::bits::{Reader, put_number, unzigzag, zigzag};
+use super::{Fault, column};
+use crate::rows::Rows;
 
 /// Rows of a part at most: eleven hours at 100 Hz.
 const MAX_ROWS: usize = 1 << 22;
@@ -83,7 +84,7 @@ pub fn put(out: &mut Vec<u8>, runs: &[Run], columns: [&[f64]; 3]) -> Result<(), 
     }
     columns.iter().for_each(|values| column::put(&mut body, values));
     put_number(out, body.len() as u64);
-    out.extend_from_slice(&crc32(&body).to_le_bytes());
+    out.extend_from_slice(&crc32fast::hash(&body).to_le_bytes());
     out.extend_from_slice(&body);
     Ok(())
 }
@@ -124,7 +125,7 @@ fn part<'a>(reader: &mut Reader<'a>) -> Result<Part<'a>, Fault> {
     let length = reader.length()?;
     let sum = u32::from_le_bytes(reader.array()?);
     let body = reader.take(length)?;
-    if crc32(body) != sum {
+    if crc32fast::hash(body) != sum {
         return Err(Fault::Checksum);
     }
     Ok(Part { whole: &before[..before.len() - reader.0.len()], body })

@@ -2,7 +2,7 @@
 //!
 //! The figures and their bytes are those of `midspan.store.summary`.
 
-use super::Rows;
+use crate::rows::Rows;
 
 /// A second: its number from the second in which the rows begin u16, status u8, rows u16, least, largest, mean and
 /// deviation f32, the instants of least and largest in ns from its begin u32; little-endian.

@@ -1,26 +1,13 @@
 //! `bank` for Python.
 
-use super::{elements, same_length};
-use crate::bank::rows::Rows;
+use super::{RunArrays, elements, run_arrays, same_length};
 use crate::bank::settings::Settings;
 use crate::bank::{Bank, Block, Sensor, Values};
 use crate::estimator::state::{StateError, from_bytes, to_bytes};
-use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
+use numpy::PyReadonlyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-
-/// Point, stamp of the first row, step, number and status of runs (k,); displacement, standard deviation, velocity.
-type RunArrays<'py> = (
-    Bound<'py, PyArray1<u32>>,
-    Bound<'py, PyArray1<i64>>,
-    Bound<'py, PyArray1<i64>>,
-    Bound<'py, PyArray1<u32>>,
-    Bound<'py, PyArray1<u8>>,
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyArray1<f64>>,
-);
 
 /// The settings as Python holds them.
 #[derive(FromPyObject)]
@@ -127,18 +114,8 @@ impl PyBank {
 
     /// The rows that are complete when it is `until_ns`.
     fn rows<'py>(&mut self, py: Python<'py>, until_ns: i64) -> RunArrays<'py> {
-        let Rows { point, t0_ns, dt_ns, count, status, displacement, std, velocity } =
-            py.detach(|| self.0.rows(until_ns));
-        (
-            point.into_pyarray(py),
-            t0_ns.into_pyarray(py),
-            dt_ns.into_pyarray(py),
-            count.into_pyarray(py),
-            status.into_pyarray(py),
-            displacement.into_pyarray(py),
-            std.into_pyarray(py),
-            velocity.into_pyarray(py),
-        )
+        let rows = py.detach(|| self.0.rows(until_ns));
+        run_arrays(py, rows)
     }
 
     /// Point, stamp and code of what happened since the last call.

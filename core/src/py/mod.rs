@@ -19,7 +19,8 @@ pub mod settings;
 pub mod signals;
 pub mod track;
 
-use numpy::{PyReadonlyArray1, PyReadonlyArray2};
+use crate::rows::Rows;
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -40,4 +41,31 @@ pub fn pairs(name: &str, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64
 /// ValueError where two arguments that must be as long as each other are not.
 pub fn same_length(names: &str, one: usize, other: usize) -> PyResult<()> {
     if one == other { Ok(()) } else { Err(PyValueError::new_err(format!("{names}: {one} and {other} elements"))) }
+}
+
+/// Point, stamp of the first row, step, number and status of runs (k,); displacement, standard deviation, velocity (n,).
+pub type RunArrays<'py> = (
+    Bound<'py, PyArray1<u32>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<i64>>,
+    Bound<'py, PyArray1<u32>>,
+    Bound<'py, PyArray1<u8>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+);
+
+/// Rows of many points as arrays.
+pub fn run_arrays(py: Python<'_>, rows: Rows) -> RunArrays<'_> {
+    let [displacement, std, velocity] = rows.columns;
+    (
+        rows.point.into_pyarray(py),
+        rows.t0_ns.into_pyarray(py),
+        rows.dt_ns.into_pyarray(py),
+        rows.count.into_pyarray(py),
+        rows.status.into_pyarray(py),
+        displacement.into_pyarray(py),
+        std.into_pyarray(py),
+        velocity.into_pyarray(py),
+    )
 }

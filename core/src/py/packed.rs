@@ -1,7 +1,8 @@
 //! `packed` for Python.
 
-use super::elements;
-use crate::packed::{self, Block, Fault, RowsRef};
+use super::{RunArrays, elements, run_arrays};
+use crate::packed::{self, Block, Fault};
+use crate::rows::RowsRef;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -43,33 +44,11 @@ fn pack_rows<'py>(
     Ok(PyBytes::new(py, &pack))
 }
 
-/// Point, first stamp, step, count and status of runs (k,), their three columns (n,).
-type Rows<'py> = (
-    Bound<'py, PyArray1<u32>>,
-    Bound<'py, PyArray1<i64>>,
-    Bound<'py, PyArray1<i64>>,
-    Bound<'py, PyArray1<u32>>,
-    Bound<'py, PyArray1<u8>>,
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyArray1<f64>>,
-);
-
 /// See [`packed::decode`].
 #[pyfunction]
-fn unpack_rows<'py>(py: Python<'py>, pack: &[u8], velocity: bool) -> PyResult<Rows<'py>> {
+fn unpack_rows<'py>(py: Python<'py>, pack: &[u8], velocity: bool) -> PyResult<RunArrays<'py>> {
     let rows = py.detach(|| packed::decode(pack, velocity)).map_err(error)?;
-    let [displacement, std, velocity] = rows.columns;
-    Ok((
-        rows.point.into_pyarray(py),
-        rows.t0_ns.into_pyarray(py),
-        rows.dt_ns.into_pyarray(py),
-        rows.count.into_pyarray(py),
-        rows.status.into_pyarray(py),
-        displacement.into_pyarray(py),
-        std.into_pyarray(py),
-        velocity.into_pyarray(py),
-    ))
+    Ok(run_arrays(py, rows))
 }
 
 /// Points, first and last stamps, numbers of rows (m,).
