@@ -166,6 +166,7 @@ def test_each_point_publishes_its_own_displacement(site, broker):
         states = until(lambda: len([one for one in came if one.endswith("/state")]) == POINTS)
         assert states
     finally:
+        client.disconnect()
         client.loop_stop()
     wanted = site.bank_rows(14)
     for point, topic in enumerate(topics):
@@ -255,11 +256,12 @@ def test_packets_of_many_messages_reach_the_broker(broker):
     try:
         assert until(lambda: sender.connected)
         assert until(lambda: came)
-        sender.publish_all(messages)
+        sender.publish_results(messages)
         wanted = [(f"midspan/v1/site/{topic}", payload) for topic, payload in messages]
         assert until(lambda: [one for one in came if "/p-" in one[0]] == wanted)
     finally:
         sender.stop()
+        client.disconnect()
         client.loop_stop()
 
 
@@ -267,5 +269,7 @@ def test_packets_are_those_of_the_standard():
     assert publication("a/b", b"xy") == b"\x30\x08\x00\x03a/b\x00xy"
     assert publication("t", b"z" * 124)[:3] == b"\x30\x80\x01"
     assert acknowledgements([1, 515]) == b"\x40\x02\x00\x01\x40\x02\x02\x03"
-    assert b"".join(parts([b"x" * 40_000] * 5)) == b"x" * 200_000
-    assert max(map(len, parts([b"x" * 40_000] * 5))) == 80_000
+    found = list(parts([b"x" * 40_000] * 5))
+    assert b"".join(one.packets for one in found) == b"x" * 200_000
+    assert [len(one.packets) for one in found] == [80_000, 80_000, 40_000]
+    assert [one.messages for one in found] == [2, 2, 1]

@@ -18,6 +18,8 @@ from midspan.sources.live.blocks import RESULT, VERSION
 FRESH_S, FRESH_INTERVALS = 5.0, 3.0
 # The usual interval is averaged over about this many arrivals.
 AVERAGED = 8.0
+# Of neither a reason nor a status.
+UNPUBLISHED = 255
 # Why a point gives no rows that can be relied on, as codes of the documentation's table.
 WHY = ("", "starting", "opening", "silent", "no_rows", "lost")
 FINE, STARTING, OPENING, SILENT, NO_ROWS, LOST = range(len(WHY))
@@ -88,8 +90,7 @@ class Standings:
         self.newest["displacement_mm"] = self.newest["displacement_std_mm"] = np.nan
         self.why = np.full(self.count, STARTING, dtype=np.uint8)
         self.status = self.newest["status"].copy()
-        # Of neither a reason nor a status.
-        self.published = np.full((2, self.count), 255, dtype=np.uint8)
+        self.published = np.full((2, self.count), UNPUBLISHED, dtype=np.uint8)
 
     def heard(self, sensor: int, points: NDArray[np.uint32], now_s: float) -> None:
         """Blocks of points came."""
@@ -123,11 +124,18 @@ class Standings:
         self.status = np.where(no_rows, np.uint8(PointStatus.LOST), self.newest["status"])
 
     def changed(self, most: int) -> list[int]:
-        """Up to this many points that stand otherwise than when this last gave them."""
+        """Up to this many points that stand otherwise than was published of them."""
         now = np.stack((self.why, self.status))
-        points = np.flatnonzero((now != self.published).any(axis=0))[:most]
-        self.published[:, points] = now[:, points]
-        return [int(one) for one in points]
+        points: list[int] = np.flatnonzero((now != self.published).any(axis=0))[:most].tolist()
+        return points
+
+    def is_published(self, point: int) -> None:
+        """How a point stands is published."""
+        self.published[:, point] = self.why[point], self.status[point]
+
+    def forget_published(self) -> None:
+        """Whatever was published of the points is no longer there."""
+        self.published[:] = UNPUBLISHED
 
     def tree(self, point: int, name: str) -> dict[str, object]:
         """How a point stands, as the topic `state` has it."""
