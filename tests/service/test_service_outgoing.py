@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -101,9 +102,7 @@ def test_of_results_that_a_slow_broker_leaves_the_oldest_are_dropped_and_counted
         # In order, the newest among them, each whole.
         assert numbers == sorted(numbers)
         assert numbers[-300:] == list(range(count - 300, count))
-        assert all(
-            topic == f"midspan/v1/site/p-{k}/displacement" for k, (topic, _) in zip(numbers, slow_broker.results)
-        )
+        assert [topic for topic, _ in slow_broker.results] == [f"midspan/v1/site/p-{k}/displacement" for k in numbers]
         assert {len(payload) for _, payload in slow_broker.results} == {size}
     finally:
         sender.stop()
@@ -244,16 +243,12 @@ def test_one_sweep_follows_another_whatever_fails_in_one(monkeypatch):
         def forget_before(self, time_ns):
             forgotten.append(time_ns)
 
-    class Site:
-        class settings:  # noqa: N801
-            class store:  # noqa: N801
-                keep_days = 2.0
-
+    site = SimpleNamespace(settings=SimpleNamespace(store=SimpleNamespace(keep_days=2.0)))
     monkeypatch.setattr(retention, "archive_days", archive_days)
     monkeypatch.setattr(retention, "SWEEP_S", 0.001)
 
     async def some():
-        task = asyncio.create_task(retention.sweeping(lambda: Site, Kept(), said.append))
+        task = asyncio.create_task(retention.sweeping(lambda: site, Kept(), said.append))
         while len(sweeps) < 5:
             await asyncio.sleep(0.01)
             assert not task.done()

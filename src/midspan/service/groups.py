@@ -164,10 +164,11 @@ class Groups:
         one = self._groups.get(str(head.get("group")))
         if one is None:
             raise MidspanError(f"{head.get('group')}: is not a group of this site.")
-        standings = one.standings
+        standings, numbers = one.standings, one.plan.numbers
         newest = standings.newest.copy()
         newest["status"] = standings.status
-        return {"reasons": list(WHY)}, newest.tobytes() + standings.why.tobytes()
+        head = {"reasons": list(WHY), "numbers": [numbers.start, numbers.stop, numbers.step]}
+        return head, newest.tobytes() + standings.why.tobytes()
 
     def state(self) -> list[Tree]:
         """How the groups stand: counts, and those points that are named."""

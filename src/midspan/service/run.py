@@ -524,9 +524,10 @@ class Service:
                 self._alarms.new_datum(one.name, event.time_ns)
         if self._broker is None:
             return
-        rows = [chunk for chunk in batch.chunks if chunk.stream == ROWS]
-        status = one.live.status.name.lower()
-        self._broker.publish_results((f"{one.name}/summary", summary(one, status).encode()) for one in rows)
+        topic, status = f"{one.name}/summary", one.live.status.name.lower()
+        self._broker.publish_results(
+            (topic, summary(rows, status).encode()) for rows in batch.chunks if rows.stream == ROWS
+        )
         self._broker.publish(f"{one.name}/state", json.dumps(self._standing_of(one, time.time())), retain=True)
 
     def standing(self) -> dict[str, Any]:
