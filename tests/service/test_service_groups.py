@@ -336,6 +336,48 @@ def test_how_points_stand():
     assert standings.tree(2, "north-2")["reason"] == "no_rows"
 
 
+def stands(standings, arrivals_s, now_s):
+    """Why a point gives nothing some seconds after blocks of both sensors, each with rows."""
+    for arrival_s in arrivals_s:
+        # Two messages of each sensor at once.
+        for sensor in (0, 1, 0, 1):
+            standings.heard(sensor, np.zeros(1, dtype=np.uint32), float(arrival_s))
+        standings.given(rows_of([0], [0], [1], [0], np.zeros(1)), float(arrival_s))
+        standings.look(float(arrival_s))
+        assert standings.why.tolist() == [0]
+    standings.look(now_s)
+    return int(standings.why[0])
+
+
+@pytest.mark.parametrize("interval_s", [0.2, 1.0, 10.0, 60.0])
+def test_a_sensor_is_silent_after_three_of_its_intervals(interval_s):
+    """From its second block on: the first interval is the usual one."""
+    for blocks in (2, 3, 40):
+        arrivals_s = interval_s * np.arange(blocks)
+        fresh_s = max(5.0, 3.0 * interval_s)
+        assert stands(Standings(1), arrivals_s, arrivals_s[-1] + 0.99 * fresh_s) == 0
+        assert stands(Standings(1), arrivals_s, arrivals_s[-1] + 1.01 * fresh_s) == SILENT
+
+
+def test_an_outage_is_no_usual_interval():
+    standings = Standings(1)
+    assert stands(standings, range(20), 25.0) == SILENT
+    # An hour later it comes again for five seconds, and stops: of the hour as much counts as is still fresh.
+    assert stands(standings, range(3619, 3624), 3623.0 + 5.1) == SILENT
+
+
+def test_rows_of_long_blocks_are_awaited_as_long_as_their_blocks():
+    standings = Standings(1)
+    assert stands(standings, [0.0, 10.0, 20.0], 30.0) == 0
+    # Blocks go on, rows do not.
+    for now_s in (30.0, 40.0, 50.0, 60.0):
+        for sensor in (0, 1):
+            standings.heard(sensor, np.zeros(1, dtype=np.uint32), now_s)
+    standings.look(60.0)
+    assert standings.why.tolist() == [NO_ROWS]
+    assert standings.status.tolist() == [PointStatus.LOST]
+
+
 def test_many_events_at_once_are_counted():
     events = [(f"north-{k}", Event(k, "lost", "No displacement.")) for k in range(MAX_EVENTS + 5)]
     kept = fewer("north", events)

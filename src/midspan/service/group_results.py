@@ -68,10 +68,15 @@ def result_blocks(rows: GroupRows, sequence: NDArray[np.uint32]) -> Iterator[tup
     yield from zip(rows.point.tolist(), bodies, strict=True)
 
 
+def _fresh_s(interval_s: Floats) -> Floats:
+    """For how long a block is fresh, by the usual interval of its sensor, NaN where that is not known."""
+    return np.fmax(FRESH_S, FRESH_INTERVALS * interval_s)
+
+
 @dataclass(slots=True)
 class Standings:
     """How the points (n,) of a group stand: when each sensor was heard (accelerations, displacements; s, NaN before)
-    and its usual interval (s), the newest row, when that came (s), and what was published of it.
+    and its usual interval (s, NaN before the second block), the newest row, when that came (s), and what was published of it.
     """
 
     count: int
@@ -84,7 +89,7 @@ class Standings:
     published: NDArray[np.uint8] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.heard_s, self.interval_s = np.full((2, self.count), np.nan), np.zeros((2, self.count))
+        self.heard_s, self.interval_s = np.full((2, self.count), np.nan), np.full((2, self.count), np.nan)
         self.row_s, self.newest = np.full(self.count, np.nan), np.zeros(self.count, dtype=ROW)
         self.newest["status"] = PointStatus.WARMING
         self.newest["displacement_mm"] = self.newest["displacement_std_mm"] = np.nan
@@ -95,9 +100,12 @@ class Standings:
     def heard(self, sensor: int, points: NDArray[np.uint32], now_s: float) -> None:
         """Blocks of points came."""
         own = np.unique(points)
-        before = self.heard_s[sensor, own]
-        passed = np.where(np.isnan(before), 0.0, now_s - before)
-        self.interval_s[sensor, own] += (passed - self.interval_s[sensor, own]) / AVERAGED
+        usual_s, passed_s = self.interval_s[sensor, own], now_s - self.heard_s[sensor, own]
+        # The first interval is the usual one; an outage counts as much as is still fresh.
+        mean_s = usual_s + (np.minimum(passed_s, _fresh_s(usual_s)) - usual_s) / AVERAGED
+        mean_s = np.where(np.isnan(usual_s), passed_s, mean_s)
+        # Blocks that are read at once are one arrival.
+        self.interval_s[sensor, own] = np.where(passed_s > 0.0, mean_s, usual_s)
         self.heard_s[sensor, own] = now_s
 
     def given(self, rows: GroupRows, now_s: float) -> None:
@@ -113,10 +121,11 @@ class Standings:
 
     def look(self, now_s: float) -> None:
         """Judge each point as of now."""
-        fresh_s = np.maximum(FRESH_S, FRESH_INTERVALS * self.interval_s)
+        fresh_s = _fresh_s(self.interval_s)
         silent = (now_s - self.heard_s > fresh_s).any(axis=0)
         unheard, rowless = np.isnan(self.heard_s).any(axis=0), np.isnan(self.row_s)
-        no_rows = now_s - self.row_s > FRESH_S
+        # Rows need both sensors.
+        no_rows = now_s - self.row_s > fresh_s.max(axis=0)
         lost = self.newest["status"] == PointStatus.LOST
         cases = [silent, unheard & rowless, rowless, no_rows, lost]
         self.why = np.select(cases, [SILENT, STARTING, OPENING, NO_ROWS, LOST], FINE).astype(np.uint8)
