@@ -76,7 +76,8 @@ def _fresh_s(interval_s: Floats) -> Floats:
 @dataclass(slots=True)
 class Standings:
     """How the points (n,) of a group stand: when each sensor was heard (accelerations, displacements; s, NaN before)
-    and its usual interval (s, NaN before the second block), the newest row, when that came (s), and what was published of it.
+    and its usual interval (s, NaN before the second block), the newest row, when that came (s), and what was published
+    of it.
     """
 
     count: int
