@@ -19,6 +19,7 @@ from midspan.engine.bank import Bank, BankBlocks, BankSensor, BankSettings
 from midspan.records import NANOSECONDS
 from midspan.service.mqtt import Broker
 from midspan.service.packets import acknowledgements, parts, publication
+from midspan.service.reasons import NOT_CALIBRATED
 from midspan.settings.site import MqttSettings
 from midspan.sources.live.blocks import RESULT, parse
 from midspan.store.chunk import join
@@ -150,9 +151,12 @@ def test_each_point_publishes_its_own_displacement(site, broker):
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id="watcher")
     client.on_message = lambda _client, _data, message: came.setdefault(message.topic, []).append(message.payload)
     client.connect("127.0.0.1", broker)
-    client.subscribe([("midspan/v1/fleet/+/displacement", 0), ("midspan/v1/fleet/+/state", 0)])
+    client.subscribe(
+        [("midspan/v1/fleet/+/displacement", 0), ("midspan/v1/fleet/+/state", 0), ("midspan/v1/fleet/+/event", 0)]
+    )
     client.loop_start()
     try:
+        client.publish("midspan/v1/fleet/north-3/cmd/calibrate", b"", qos=1)
         for second in range(14):
             site.send(second)
             time.sleep(0.2)
@@ -177,14 +181,16 @@ def test_each_point_publishes_its_own_displacement(site, broker):
         # As float32 of millimetres.
         np.testing.assert_allclose(np.concatenate([one.values for one in found]), 1e3 * displacement_m, rtol=1e-6)
         np.testing.assert_allclose(np.concatenate([one.std for one in found]), 1e3 * std_m, rtol=1e-6)
+    events = [json.loads(one) for one in came["midspan/v1/fleet/north-3/event"]]
+    assert [(one["kind"], one["text"]) for one in events] == [("command", f"north-3: {NOT_CALIBRATED}")]
     newest = json.loads(came["midspan/v1/fleet/north-3/state"][-1])
     assert newest["point"] == "north-3"
     assert newest["status"] in ("tracking", "coasting")
 
 
-def asked(site, path, token=None):
-    """Status and body of a GET."""
-    request = urllib.request.Request(f"http://127.0.0.1:{site.web}{path}")
+def asked(site, path, token=None, method="GET"):
+    """Status and body of an answer."""
+    request = urllib.request.Request(f"http://127.0.0.1:{site.web}{path}", method=method)
     if token:
         request.add_header("Authorization", f"Bearer {token}")
     try:
@@ -198,7 +204,7 @@ def asked(site, path, token=None):
 
 def test_the_interface_shows_points_of_a_group(site):
     assert until(lambda: asked(site, "/healthz")[0] == 200)
-    line = command("access", site.store, "add-token", "test", "--scope", "read", "--json")
+    line = command("access", site.store, "add-token", "test", "--scope", "operate", "--json")
     token = json.loads(subprocess.run(line, check=True, capture_output=True).stdout)["token"]
     sent = iter(range(60))
     url = f"ws://127.0.0.1:{site.web}/api/v1/live?points=north-3"
@@ -226,6 +232,8 @@ def test_the_interface_shows_points_of_a_group(site):
     assert first[-1]["name"] == "north-7"
     assert json.loads(asked(site, "/api/v1/points/north-3", token)[1])["name"] == "north-3"
     assert asked(site, "/api/v1/points/north-12", token)[0] == 404
+    status, body = asked(site, "/api/v1/points/north-3/calibrate", token, "POST")
+    assert (status, json.loads(body)["detail"]) == (409, f"north-3: {NOT_CALIBRATED}")
     series = json.loads(asked(site, "/api/v1/points/north-3/series", token)[1])
     assert len(series["time"]) > 100
     assert 'midspan_group_points{group="north"' in asked(site, "/metrics")[1]

@@ -76,6 +76,13 @@ REASONS: dict[str, tuple[str, str]] = {
 }
 
 
+# A command of a calibration on a point of a group.
+NOT_CALIBRATED = (
+    "is a point of a group, which has no calibration. Set the units and the noise of its sensors in [[group]], or make "
+    "it a [[point]], which calibrates itself."
+)
+
+
 def sentence(code: str) -> str:
     """What a code means, as a sentence."""
     meaning, remedy = REASONS[code]
