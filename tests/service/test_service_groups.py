@@ -1,6 +1,7 @@
 """A group in the shell: rows are those of a bank that is fed the same blocks, each point has its own, none doubles."""
 
 import asyncio
+import json
 import struct
 import threading
 from contextlib import closing
@@ -12,6 +13,7 @@ import pytest
 from midspan.engine.bank import Bank, BankBlocks, BankSensor, BankSettings
 from midspan.engine.point import PointStatus
 from midspan.records import NANOSECONDS, Event, GroupRows
+from midspan.serve.groups import GroupTable
 from midspan.service.group import Group, max_bytes_of, numbered
 from midspan.service.group_results import (
     LOST,
@@ -439,6 +441,12 @@ def test_the_page_s_server_asks_for_all_points_at_once():
     (state,) = groups.state()
     assert state["reasons"] == {"starting": POINTS}
     assert [one["point"] for one in state["points"]] == [f"north-{k}" for k in range(POINTS)]
+    # Of points without rows nothing is NaN, which JSON does not have.
+    table = GroupTable("north", range(POINTS), head["reasons"], newest, np.frombuffer(body[-POINTS:], dtype=np.uint8))
+    shown = table.state(3, float(BEGIN_S), "")
+    assert (shown["displacement_mm"], shown["displacement_std_mm"], shown["time"], shown["age_s"]) == (None,) * 4
+    for tree in (state, head, shown):
+        json.dumps(tree, allow_nan=False)
 
 
 def test_a_state_that_cannot_be_used_begins_anew(tmp_path):

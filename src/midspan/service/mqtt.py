@@ -326,22 +326,19 @@ def result_payload(rows: Chunk, sequence: int) -> bytes:
 
 
 def summary(rows: Chunk, status: str) -> str:
-    """A second of rows in figures, as JSON."""
+    """A second of rows in figures, as JSON, which has null for what is not finite."""
     value = 1e3 * np.asarray(rows.columns["displacement_m"])
     std = 1e3 * np.asarray(rows.columns["std_m"], dtype=np.float64)
-    return json.dumps(
-        {
-            "time_s": int(rows.time_ns[-1]) / 1e9,
-            "rows": len(value),
-            "mean_mm": float(value.mean()),
-            "minimum_mm": float(value.min()),
-            "maximum_mm": float(value.max()),
-            "rms_mm": float(np.sqrt(np.mean(value**2))),
-            "std_mm": float(np.median(std)),
-            "status": status,
-            "unit": "mm",
-        }
-    )
+    figures = {
+        "mean_mm": float(value.mean()),
+        "minimum_mm": float(value.min()),
+        "maximum_mm": float(value.max()),
+        "rms_mm": float(np.sqrt(np.mean(value**2))),
+        "std_mm": float(np.median(std)),
+    }
+    finite = {name: figure if math.isfinite(figure) else None for name, figure in figures.items()}
+    time_s = int(rows.time_ns[-1]) / 1e9
+    return json.dumps({"time_s": time_s, "rows": len(value), **finite, "status": status, "unit": "mm"})
 
 
 def event_tree(event: Event) -> dict[str, Any]:
