@@ -281,3 +281,27 @@ def test_packets_are_those_of_the_standard():
     assert b"".join(one.packets for one in found) == b"x" * 200_000
     assert [len(one.packets) for one in found] == [80_000, 80_000, 40_000]
     assert [one.messages for one in found] == [2, 2, 1]
+
+
+def test_a_broker_that_comes_back_without_memory_has_all_states(site, mosquitto):
+    import paho.mqtt.client as mqtt
+
+    for second in range(5):
+        site.send(second)
+    assert site.reaches(2)
+    mosquitto.stop()
+    mosquitto.start()
+    assert until(lambda: is_online(mosquitto.port))
+    came = {}
+    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id="newcomer")
+    client.on_message = lambda _client, _data, message: came.setdefault(message.topic, message.payload)
+    client.connect("127.0.0.1", mosquitto.port)
+    client.subscribe("midspan/v1/fleet/+/state", 1)
+    client.loop_start()
+    try:
+        assert until(lambda: len(came) == POINTS), came
+    finally:
+        client.disconnect()
+        client.loop_stop()
+    names = {json.loads(payload)["point"] for payload in came.values()}
+    assert names == {f"north-{number}" for number in range(POINTS)}

@@ -13,7 +13,7 @@ import numpy as np
 PUBLISH, PUBACK = 0x30, 0x4002
 # Packets are handed over in parts of about this many bytes: what a socket takes at once.
 PART_BYTES = 65_536
-# Of results the client has so many bytes at most, and so many wait for it: a minute of 1000 points at 100 Hz.
+# Bytes of results that the client has at most, and that wait for it: a minute of 1000 points at 100 Hz.
 MAX_HANDED_BYTES, MAX_WAITING_BYTES = 1_000_000, 64_000_000
 
 
