@@ -444,6 +444,19 @@ class GroupRows:
     velocity_m_s: Floats
 
 
+def member_name(group: str, number: int) -> str:
+    """The name of a point of a group."""
+    return f"{group}-{number}"
+
+
+def member_of(point: str) -> tuple[str, int] | None:
+    """Group and number that a point's name would mean; None where it means none."""
+    name, _, digits = point.rpartition("-")
+    if not name or not digits.isascii() or not digits.isdecimal() or len(digits) > 9 or digits != str(int(digits)):
+        return None
+    return name, int(digits)
+
+
 @dataclass(frozen=True, slots=True)
 class Innovation:
     """Measured minus predicted displacement, its predicted variance and the gate's verdict: arrays (n,)."""

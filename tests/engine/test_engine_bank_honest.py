@@ -4,13 +4,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tests.engine.bank_bridge import RATE_HZ, Sensors, measured, motion, run
+from tests.engine.bank_bridge import RATE_HZ, T0_NS, Sensors, markov, measured, motion, run
 
-from midspan.engine.bank import BankCode, BankSettings
+from midspan.engine.bank import Bank, BankBlocks, BankCode, BankSensor, BankSettings
 
 SETTINGS = BankSettings(0.005, 0.0015)
 SECONDS = 240
-# A slow error shows in what comes together over a minute.
+# A slow error of some seconds shows in what comes together over a minute.
 LEARNT_S = 60
 SEEDS = tuple(range(4))
 
@@ -134,6 +134,41 @@ def test_a_shifted_zero_is_reported_and_the_band_covers_both_zeros_for_half_a_mi
     error = rows.displacement_m[just] - record.truth_m[rows.index[just]]
     assert np.mean(np.abs(error) < 1.96 * rows.std_m[just]) > 0.9
     assert np.mean(np.abs(error - 0.008) < 1.96 * rows.std_m[just]) > 0.9
+
+
+@pytest.mark.parametrize("displacement_hz", [1, 10])
+@pytest.mark.parametrize("slow_time_s", [20, 60, 200])
+def test_a_slow_error_that_is_stated_stays_in_the_band_for_an_hour(displacement_hz, slow_time_s):
+    # Innovations show nothing of an error that lasts longer than the accelerometer remembers, some four seconds: a band
+    # that followed them alone would contain a third of the rows after half an hour.
+    seconds, points, slow_std_m = 3600, 8, 0.005
+    rng = np.random.default_rng(slow_time_s + displacement_hz)
+    settings = BankSettings(0.005, 0.0015, slow_std_m=slow_std_m)
+    bank, numbers = Bank(points, settings), np.arange(points, dtype=np.uint32)
+    error = np.stack([markov(seconds * displacement_hz, 1 / (displacement_hz * slow_time_s), rng) for _ in numbers])
+    measured_m = slow_std_m * error + 0.0015 * rng.standard_normal(error.shape)
+    samples = 9.81 + 0.005 * rng.standard_normal((points, seconds * RATE_HZ))
+    inside = []
+    for second in range(seconds):
+        t0_ns = np.full(points, T0_NS + second * 10**9)
+        for sensor, values, hz in ((0, samples, RATE_HZ), (1, measured_m, displacement_hz)):
+            count, step = np.full(points, hz, dtype=np.uint32), np.full(points, 10**9 // hz)
+            part = values[:, second * hz : (second + 1) * hz].ravel()
+            bank.push(BankBlocks(BankSensor(sensor), numbers, t0_ns, step, count, part))
+        rows = bank.rows(T0_NS + (second + 1) * 10**9)
+        if second > seconds // 2:
+            inside.append(np.mean(np.abs(rows.displacement_m) < 1.96 * rows.std_m))
+    # Of an error that lasts 200 s eight points have some 70 independent values in half an hour.
+    assert np.mean(inside) > 0.90
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_outliers_to_one_side_that_scatter_are_no_shift(seed):
+    record = measured(*bridge(seed % 4), seed)
+    many_outliers(record, np.random.default_rng(seed))
+    rows, _ = run(record, SETTINGS)
+    error = np.abs(rows.displacement_m - record.truth_m[rows.index])[rows.index > LEARNT_S * RATE_HZ]
+    assert np.max(error / rows.std_m[rows.index > LEARNT_S * RATE_HZ]) < 6.0
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -241,6 +241,45 @@ def test_shards_keep_their_rows_in_one_database(tmp_path, broker, fleet, postgre
         listener.stop()
 
 
+def test_another_number_of_shards_is_refused_while_some_run_and_doubles_nothing_after_them(
+    tmp_path, broker, fleet, postgres
+):
+    where, state = postgres.database("fleet_of_two"), {"XDG_STATE_HOME": str(tmp_path / "state")}
+    file, listener = site_file(tmp_path, broker, store=f'url = "{where}"\ncaptures = "captures"'), Listener(broker)
+    first = int(time.time()) - 3600
+    try:
+        process = fleet(file, "--shards", "3", **state)
+        listener.wait("available", "online")
+        send(listener, first, 6)
+        assert_whole([where], first, 6)
+        second = subprocess.run(
+            command("run", file, "--shard", "2/2", "--for", "5", "--no-serve"),
+            capture_output=True, text=True, check=False, env={**os.environ, **state},
+        )  # fmt: skip
+        assert second.returncode == 2
+        assert "the site 'bridge' runs as 3 shards, and as 2 shards the same points would be" in second.stderr
+        process.send_signal(signal.SIGSTOP)
+        for pid in pids(file).values():
+            os.kill(pid, signal.SIGKILL)
+        process.kill()
+        listener.wait("available", "offline")
+        fleet(file, "--shards", "2", **state)
+        listener.wait("available", "online")
+        # The last seconds come again.
+        send(listener, first + 3, 8)
+        with closing(open_store(where, read_only=True)) as store:
+            names = store.points
+        assert len(names) == EACH + ALL
+        until_s = time.monotonic() + PATIENCE_S
+        for name in names:
+            while (found := stamps([where], name)).max() < (first + 10) * NANOSECONDS:
+                assert time.monotonic() < until_s, (name, len(found))
+                time.sleep(0.5)
+            assert (np.diff(found) >= NANOSECONDS // RATE_HZ).all()
+    finally:
+        listener.stop()
+
+
 def test_a_fleet_of_more_shards_than_points_is_refused(tmp_path, fleet):
     process = fleet(site_file(tmp_path, 1883), "--shards", "13")
     assert process.wait(60) == 2

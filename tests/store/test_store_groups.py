@@ -5,6 +5,8 @@ import signal
 import subprocess
 import sys
 import textwrap
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -14,11 +16,13 @@ from hypothesis import strategies as st
 
 from midspan import _core
 from midspan.errors import DataError
-from midspan.records import NANOSECONDS, GroupRows
+from midspan.records import NANOSECONDS, GroupRows, member_of
+from midspan.service.keeping import Keeper
 from midspan.service.stored_recording import stored_table
+from midspan.store import group_state, pieces
 from midspan.store.archive import archive
 from midspan.store.chunk import Chunk
-from midspan.store.database import StoreFault
+from midspan.store.database import Division, PostgresDatabase, SqliteDatabase, StoreFault
 from midspan.store.days import BLOCK_S, DAY_NS
 from midspan.store.group_rows import GroupChunk, in_slots, newer, packed, part_of_pack, unpacked
 from midspan.store.store import Batch, open_store
@@ -200,20 +204,88 @@ def test_parts_of_a_day_are_dropped_in_postgresql(postgres, store_name):
 
 def test_shards_write_one_database_at_once(postgres, store_name):
     where = postgres.database(store_name)
-    parts = [open_store(where, points=[f"north {k} of 2"]) for k in (1, 2)]
+    parts = [open_store(where, points=[f"north {k} 2"]) for k in (0, 1)]
     for number in range(3):
         for k, store in enumerate(parts):
             rows = rows_of([k, k + 2], number * RATE_HZ, (number + 1) * RATE_HZ)
             state = (BEGIN_NS, f"state {k} {number}".encode())
-            store.write(Batch(groups=[GroupChunk("north", rows, state, f"{k + 1} of 2")]))
+            store.write(Batch(groups=[GroupChunk("north", rows, state, f"{k} 2")]))
     parts[0].flush()
     with open_store_closing(where) as read:
         assert read.points == [f"north-{point}" for point in range(4)]
         for point in range(4):
             assert_rows(read, point, 0, 3 * RATE_HZ)
-        assert read.group_checkpoint("north 2 of 2") == (BEGIN_NS, b"state 1 2")
+        assert read.group_checkpoint("north 1 2") == (BEGIN_NS, b"state 1 2")
     for store in parts:
         store.close()
+
+
+def part_of_second(part, number, points=6):
+    """A second of the points of a shard."""
+    first, step = (int(word) for word in part.split())
+    rows = rows_of(range(first, points, step), number * RATE_HZ, (number + 1) * RATE_HZ)
+    return Batch(groups=[GroupChunk("north", rows, None, part)])
+
+
+def killed(store):
+    """Its process has ended without a word."""
+    if store._locks is None:
+        store._site.close()
+    else:
+        os.close(store._pieces._file)
+        store._locks.close()
+
+
+def test_another_number_of_shards_takes_over_what_was_left_in_a_database(postgres, store_name):
+    import psycopg
+
+    where = postgres.database(store_name)
+    for part in ("0 2", "1 2"):
+        store = open_store(where, points=[f"north {part}"], division=Division("bridge", 2))
+        for number in range(3):
+            store.write(part_of_second(part, number))
+        killed(store)
+    parts = [f"{k} 3" for k in range(3)]
+    stores = {part: open_store(where, points=[f"north {part}"], division=Division("bridge", 3)) for part in parts}
+    # A second comes again, as nobody acknowledged it.
+    for number in (2, 3):
+        for part in parts:
+            stores[part].write(part_of_second(part, number))
+    with psycopg.connect(where) as connection:
+        kept = connection.execute("SELECT part, COUNT(*) FROM group_piece GROUP BY part ORDER BY part").fetchall()
+    assert kept == [(part, 1) for part in parts]
+    for _ in range(2):
+        with open_store_closing(where) as read:
+            for point in range(6):
+                assert_rows(read, point, 0, 4 * RATE_HZ)
+        for store in stores.values():
+            store.flush()
+    for store in stores.values():
+        store.close()
+
+
+def test_another_number_of_shards_takes_over_what_was_left_in_folders(tmp_path):
+    for part in ("0 3", "1 3", "2 3"):
+        where = tmp_path / "store" / f"shard-{int(part[0]) + 1}"
+        store = open_store(where, points=[f"north {part}"], division=Division("bridge", 3))
+        store.write(part_of_second(part, 0))
+        killed(store)
+    for part in ("0 2", "1 2"):
+        keeper = Keeper(str(tmp_path / "store" / f"shard-{int(part[0]) + 1}"), [f"north {part}"], Division("bridge", 2))
+        # What is left of its own points does not come again; of others there is nothing.
+        for number in (0, 1):
+            keeper.put(part_of_second(part, number))
+        keeper.write()
+        keeper.close()
+    assert not list((tmp_path / "store").glob("*/log/*.log"))
+    for point, folder in enumerate((1, 2, 3, 1, 2, 3)):
+        with open_store_closing(tmp_path / "store" / f"shard-{folder}") as read:
+            first = 0 if (folder - 1) % 3 == point % 3 else RATE_HZ
+            last = 2 * RATE_HZ if folder - 1 == point % 2 else RATE_HZ
+            assert_rows(read, point, first, last)
+    whole = Keeper(str(tmp_path / "store"), ["north"], Division("bridge", 0))
+    whole.put(Batch(groups=[GroupChunk("north", rows_of(range(6), 40, 60))]))
+    whole.close()
 
 
 def open_store_closing(where):
@@ -258,6 +330,53 @@ def test_after_a_kill_rows_are_whole_and_the_state_is_not_newer(tmp_path, after)
         assert_rows(store, point, 0, (number + 3) * RATE_HZ)
     store.close()
     assert check(where).faults == ()
+
+
+@pytest.mark.parametrize("seconds", [9, 11, 14, 25, 41])
+def test_after_a_power_cut_the_state_is_not_newer_than_its_rows(tmp_path, monkeypatch, seconds):
+    """Of the log that is left what was synchronised; all states came to the disk, as the kernel may write them."""
+    where, real, synced = tmp_path / "store", os.fsync, [0]
+
+    def fsync(file):
+        synced.append(os.fstat(file).st_size) if file == store._pieces._file else None
+        real(file)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    store = open_store(where, points=["north", "south"])
+    for number in range(seconds):
+        store.write(Batch(groups=[replace(second(number), name="south")]))
+        store.write(Batch(groups=[second(number)]))
+    killed(store)
+    (log,) = (where / "log").glob("*.log")
+    os.truncate(log, synced[-1])
+    store = open_store(where, points=["north"])
+    newest_ns, state = store.newest_ns("north-17", "rows"), store.group_checkpoint("north")
+    kept = round((newest_ns - BEGIN_NS) / NANOSECONDS)
+    assert seconds - kept <= pieces.SYNC_S
+    assert state == (BEGIN_NS + kept * NANOSECONDS, b"state %d" % (kept - 1))
+    assert store.group_checkpoint("south") is not None
+    for number in range(kept, kept + 3):
+        store.write(Batch(groups=[second(number)]))
+        assert store.group_checkpoint("north")[1] == b"state %d" % number
+    assert_rows(store, 17, 0, (kept + 3) * RATE_HZ)
+    store.close()
+
+
+def test_a_state_of_an_earlier_version_is_used(tmp_path):
+    import zlib
+
+    store = open_store(tmp_path / "store", points=["north"])
+    store.write(Batch(groups=[second(0), second(1, checkpoint=False)]))
+    for turn in range(3):
+        (tmp_path / "store" / "groups" / f"north.{turn}").unlink()
+    head = group_state.FIRST_HEAD.pack(group_state.FIRST_MAGIC, 7, BEGIN_NS, 5, zlib.crc32(b"first"))
+    (tmp_path / "store" / "groups" / "north.1").write_bytes(head + b"first")
+    assert store.group_checkpoint("north") == (BEGIN_NS, b"first")
+    store.close()
+    store = open_store(tmp_path / "store", points=["north"])
+    store.write(Batch(groups=[second(2)]))
+    assert store.group_checkpoint("north")[1] == b"state 2"
+    store.close()
 
 
 def left_by_a_kill(where, batch):
@@ -321,6 +440,59 @@ def test_a_kill_while_blocks_are_made_doubles_nothing(tmp_path, monkeypatch):
             assert_rows(read, point, 0, 401 * RATE_HZ)
 
 
+def histories(where):
+    """All of the pyramid, and the days of the group."""
+    store = open_store(where, read_only=True)
+    rows = store._site.execute("SELECT point, stream, level, t0_ns, low, high FROM pyramid ORDER BY 1, 2, 3, 4")
+    days = store._kept.days_of_group("north")
+    store.close()
+    return rows, days
+
+
+def peaks(first, last):
+    """Rows of which those of the first minute are the least and largest, and some in each further block as well."""
+    rows = rows_of([0, 3], first, last)
+    value = rows.displacement_m / (1 + np.tile(np.arange(first, last) // (60 * RATE_HZ), 2))
+    return GroupChunk("north", replace(rows, displacement_m=value))
+
+
+@pytest.mark.parametrize("of_ended", range(6))
+def test_a_kill_between_transactions_costs_no_peak_of_a_history(store_at, tmp_path, monkeypatch, of_ended):
+    places, ended = [tmp_path / "undisturbed", store_at], [0]
+    for where in places:
+        store = open_store(where, points=["north"])
+        store.write(Batch(groups=[peaks(0, 400 * RATE_HZ), peaks(400 * RATE_HZ, 800 * RATE_HZ)]))
+        if where == store_at:
+            for kind in (SqliteDatabase, PostgresDatabase):
+                monkeypatch.setattr(kind, "transaction", until(kind.transaction, ended, of_ended))
+            with suppress(StoreFault):
+                store.flush()
+            monkeypatch.undo()
+            killed(store)
+        else:
+            store.close()
+    for where in places:
+        store = open_store(where, points=["north"])
+        store.write(Batch(groups=[peaks(800 * RATE_HZ, 801 * RATE_HZ)]))
+        assert store.count("north-3", "rows", BEGIN_NS, BEGIN_NS + DAY_NS) == 801 * RATE_HZ
+        store.close()
+    assert histories(places[0]) == histories(places[1])
+
+
+def until(transaction, ended, count):
+    """Transactions of which none is begun after so many have ended."""
+
+    @contextmanager
+    def counted(database):
+        if ended[0] == count:
+            raise StoreFault("store_unavailable", "killed")
+        with transaction(database):
+            yield
+        ended[0] += 1
+
+    return counted
+
+
 def test_a_full_disk_keeps_the_state_before(tmp_path, monkeypatch):
     import errno
 
@@ -329,7 +501,7 @@ def test_a_full_disk_keeps_the_state_before(tmp_path, monkeypatch):
     real = os.write
 
     def full(file, data):
-        if data[:4] == b"ms\x01\0":
+        if data[:4] == group_state.MAGIC:
             real(file, data[: len(data) // 2])
             raise OSError(errno.ENOSPC, "No space left on device")
         return real(file, data)
@@ -363,6 +535,30 @@ def test_damage_is_found_and_repaired(tmp_path):
     store = open_store(where, points=["north"])
     assert store.group_checkpoint("north") is None
     assert_rows(store, 3, 0, 3 * RATE_HZ)
+    store.close()
+
+
+@pytest.mark.parametrize("lost", ["", "DELETE FROM grouped"])
+def test_repair_keeps_the_days_of_a_group(tmp_path, lost):
+    """Without them a restart would look for the newest rows nowhere, and keep rows twice; lost: of a damaged file."""
+    where = tmp_path / "store"
+    store = open_store(where, points=["north"])
+    point = Chunk("deck-1", "rows", BEGIN_NS + np.arange(3), {"displacement_m": np.zeros(3)}, 0, "displacement_m")
+    store.write(Batch([point], groups=[GroupChunk("north", rows_of([0, 3], -5 * RATE_HZ, 5 * RATE_HZ))]))
+    store.flush()
+    before, days = histories(where)
+    store._site.execute(lost or "SELECT 1")
+    store.close()
+    repair(str(where))
+    assert histories(where) == (before, days)
+    assert days == [20_699, 20_700]
+    store = open_store(where, points=["north"])
+    assert store.groups == ["north"]
+    assert store.points == ["deck-1", "north-0", "north-3"]
+    assert store.days("north-3", "rows") == days
+    store.write(Batch(groups=[GroupChunk("north", rows_of([0, 3], 0, 6 * RATE_HZ))]))
+    for number in (0, 3):
+        assert_rows(store, number, 0, 6 * RATE_HZ)
     store.close()
 
 
@@ -487,6 +683,28 @@ def test_realistic_rows_take_three_bytes_at_most():
 
 def test_slots_of_a_block_are_parts_of_a_day():
     assert DAY_NS % round(BLOCK_S * NANOSECONDS) == 0
+
+
+def test_a_name_means_a_point_of_a_group_in_one_form_alone():
+    assert member_of("north-0") == ("north", 0)
+    assert member_of("pier-2-17") == ("pier-2", 17)
+    for name in ("north", "north-", "north-017", "north-+1", "north-²", "-1", "north-1_0", "north-" + 30 * "9"):
+        assert member_of(name) is None
+
+
+def test_the_export_names_groups_of_many_points_by_their_range(tmp_path, capsys):
+    from midspan.cli.main import run
+
+    where = str(tmp_path / "store")
+    store = open_store(where, points=["north"])
+    point = Chunk("deck", "rows", BEGIN_NS + np.arange(3), {"displacement_m": np.zeros(3)}, 0, "displacement_m")
+    store.write(Batch([point], groups=[GroupChunk("north", rows_of(range(3, 1000), 0, 2))]))
+    store.close()
+    for arguments, text in (([], "; the store has several points"), (["--point", "north-1000"], "; received")):
+        assert run(["export", where, *arguments]) == 2
+        reported = capsys.readouterr().err
+        assert f"--point must be one of deck, north-3 to north-999 (997 points){text}" in reported
+        assert len(reported) < 400
 
 
 def test_the_page_and_the_export_read_a_point_of_a_group_as_any_other(tmp_path):

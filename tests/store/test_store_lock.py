@@ -11,7 +11,7 @@ from benchmarks.live.servers import free_port
 
 from midspan.cli.main import run
 from midspan.errors import UsageError
-from midspan.store.database import StoreFault
+from midspan.store.database import Division, StoreFault
 from midspan.store.store import open_store
 
 HOLD = """
@@ -49,6 +49,50 @@ def test_a_process_that_is_killed_lets_its_points_go(store_at):
     freed(store_at).close()
 
 
+def place(where, division):
+    """The store of a division's first part."""
+    return where if "://" in where or not division else f"{where}/shard-1"
+
+
+@pytest.mark.parametrize(
+    ("running", "second", "text"),
+    [
+        (2, 3, "runs as 2 shards, and as 3 shards"),
+        (2, 0, "runs as 2 shards, and without shards"),
+        (0, 1, "runs without shards, and as 1 shard "),
+    ],
+)
+def test_a_site_runs_in_one_division_at_a_time(store_at, running, second, text):
+    site, other = Division("bridge", running), Division("bridge", second)
+    first = open_store(place(store_at, running), points=["north 0"], division=site)
+    with pytest.raises(UsageError, match=text):
+        open_store(place(store_at, second), points=["north 1"], division=other)
+    # The shards of one division run together, and each end leaves the others.
+    further = open_store(place(store_at, running), points=["north 2"], division=site)
+    first.close()
+    with pytest.raises(UsageError, match=text):
+        open_store(place(store_at, second), points=["north 1"], division=other)
+    further.close()
+    open_store(place(store_at, second), points=["north 1"], division=other).close()
+
+
+def test_a_division_whose_process_is_killed_is_free(store_at):
+    with_division = HOLD.replace('points=["p"]', 'points=["p"], division=Division("bridge", 0)').replace(
+        "import open_store", "import Division, open_store"
+    )
+    process = subprocess.Popen([sys.executable, "-c", with_division, store_at], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "held\n"
+        with pytest.raises(UsageError, match="without shards, and as 2 shards"):
+            open_store(place(store_at, 2), points=["q"], division=Division("bridge", 2))
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait(timeout=30)
+        process.stdout.close()
+    freed(store_at).close()
+    open_store(place(store_at, 2), points=["q"], division=Division("bridge", 2)).close()
+
+
 def freed(where, times=100):
     """The store with its point; a server takes some milliseconds to see that a client has gone."""
     for _ in range(times):
@@ -62,7 +106,7 @@ def freed(where, times=100):
 def test_a_lost_connection_takes_its_points_again(postgres):
     psycopg = pytest.importorskip("psycopg")
     where = postgres.database("lost_connection")
-    store = open_store(where, points=["p"])
+    store = open_store(where, points=["p"], division=Division("bridge", 2))
     with psycopg.connect(where, autocommit=True) as other:
         other.execute("SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory'")
     with pytest.raises(StoreFault):
@@ -70,6 +114,10 @@ def test_a_lost_connection_takes_its_points_again(postgres):
     assert store.points == []
     with pytest.raises(UsageError, match="another process"):
         open_store(where, points=["p"])
+    with pytest.raises(UsageError, match="runs as 2 shards"):
+        open_store(where, points=["q"], division=Division("bridge", 3))
+    # Another site's in the same database is its own.
+    open_store(where, points=["q"], division=Division("tower", 3)).close()
     store.close()
 
 
@@ -105,6 +153,21 @@ def test_a_second_run_or_replay_is_refused_before_it_writes(footbridge, tmp_path
     assert run(["replay", str(footbridge), "-o", str(tmp_path / "store"), "--point", "p"]) == 2
     assert "another process writes the point 'p'" in capsys.readouterr().err
     assert files(tmp_path) == before
+    store.close()
+
+
+def test_another_division_is_refused_at_its_start(store_at, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("paho.mqtt.client")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    text = SITE.format(broker=free_port(), web=free_port())
+    if "://" in store_at:
+        text = text.replace('path = "store"', f'url = "{store_at}"')
+    (tmp_path / "SITE.toml").write_text(text)
+    store = open_store(place(store_at, 3), points=["q"], division=Division("river bridge", 3))
+    assert run(["run", str(tmp_path / "SITE.toml"), "--for", "5", "--no-serve"]) == 2
+    assert "the site 'river bridge' runs as 3 shards, and without shards" in capsys.readouterr().err
+    assert run(["run", str(tmp_path / "SITE.toml"), "--for", "5", "--shard", "1/1"]) == 2
+    assert "the site 'river bridge' runs as 3 shards, and as 1 shard " in capsys.readouterr().err
     store.close()
 
 

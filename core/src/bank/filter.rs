@@ -18,14 +18,18 @@ use serde::{Deserialize, Serialize};
 const NEVER: i64 = i64::MIN;
 const SECOND: f64 = 1e9;
 const NANOSECOND: f64 = 1e-9;
-const MILLISECOND: i64 = 1_000_000;
+/// Intervals of the displacement sensor are kept in steps of 10 ms, up to eleven minutes.
+const INTERVAL_STEP: i64 = 10_000_000;
 /// Standard deviations of velocity (m/s) and bias (m/s²) before any measurement.
 const VELOCITY_STD: f64 = 0.3;
 const BIAS_STD: f64 = 0.3;
 /// Rows begin with this many accepted measurements.
 const FIRST_MEASUREMENTS: u8 = 8;
-/// This many improbable measurements of one sign in a row are no outliers.
+/// This many improbable measurements of one sign in a row that lie on a line are no outliers.
 const SHIFTED: i8 = 4;
+/// They lie on a line where each is no further from that through the first and the one before, in the standard
+/// deviations of its distance.
+const MAX_OFF_LINE: f64 = 4.0;
 /// A value that was measured this many times in a row is no measurement any more.
 const FROZEN: u8 = 10;
 /// Rows end this long after a point was lost, s; what is begun anew after that long.
@@ -65,7 +69,7 @@ pub struct Filter {
     #[serde(with = "postcard::fixint::le")]
     step_ns: u32,
     #[serde(with = "postcard::fixint::le")]
-    interval_ms: u16,
+    interval_steps: u16,
     #[serde(with = "postcard::fixint::le")]
     last_bits: u16,
     /// τ and g.
@@ -75,8 +79,8 @@ pub struct Filter {
     noise: Noise,
     /// Slope of the acceleration before the last sample, m/s³.
     slope: f32,
-    /// The first one of the improbable innovations, m.
-    innovation_m: f32,
+    /// The first and the last one of the improbable innovations in a row, m.
+    improbable_m: [f32; 2],
     /// Mean square of the acceleration without its bias, (m/s²)².
     energy: f32,
     /// What a sample that waits to be confirmed was off by, m/s².
@@ -105,17 +109,17 @@ impl Filter {
             added: [0.0; 2],
             input: 0.0,
             slope: 0.0,
-            innovation_m: 0.0,
+            improbable_m: [0.0; 2],
             at_ns: NEVER,
             anchor_ns: NEVER,
             stamped_ns: NEVER,
             step_ns: 0,
-            interval_ms: 0,
+            interval_steps: 0,
             last_bits: 0,
             aside: [0.0; 2],
             age_s: 0.0,
             noise: Noise::new(settings),
-            energy: (settings.acceleration_std * settings.acceleration_std) as f32,
+            energy: (settings.acceleration_std_m_s2 * settings.acceleration_std_m_s2) as f32,
             unconfirmed: 0.0,
             repeats: 0,
             accepted: 0,
@@ -180,7 +184,7 @@ impl Filter {
     /// Density of the acceleration's noise, (m/s²)²/Hz; step_s: from one sample to the next.
     #[inline]
     fn density(&self, step_s: f64, settings: &Settings) -> f64 {
-        settings.acceleration_std * settings.acceleration_std * step_s * self.noise.colour()
+        settings.acceleration_std_m_s2 * settings.acceleration_std_m_s2 * step_s * self.noise.colour()
     }
 
     /// Begins with a sample: where the structure is, the next measurement tells.
@@ -293,7 +297,7 @@ impl Filter {
     /// Takes a measurement whose instant lies in an interval.
     fn measure(&mut self, one: &Reading, interval: &Interval, settings: &Settings, out: &mut Vec<Event>) {
         self.stamped_ns = one.time_ns;
-        self.interval_ms = u16::try_from(one.step_ns / MILLISECOND).unwrap_or(u16::MAX);
+        self.interval_steps = u16::try_from(one.step_ns / INTERVAL_STEP).unwrap_or(u16::MAX);
         if self.is_frozen(one, out) {
             return;
         }
@@ -367,7 +371,7 @@ impl Filter {
         };
         if share < 0.5 {
             // A value that comes again is no second measurement of a shifted zero.
-            if self.repeats > 0 || !self.is_shifted(innovation) {
+            if self.repeats > 0 || !self.is_shifted(innovation, white) {
                 self.covariance = p.kept();
                 self.noise.follow(&shown, settings);
                 return;
@@ -401,23 +405,27 @@ impl Filter {
         }
     }
 
-    /// Whether enough improbable innovations of one sign have come in a row.
-    fn is_shifted(&mut self, innovation: f64) -> bool {
-        let one = if innovation > 0.0 { 1 } else { -1 };
-        let goes_on = self.improbable * one > 0;
-        self.improbable = if goes_on { self.improbable + one } else { one };
-        if !goes_on {
-            self.innovation_m = innovation as f32;
-        }
+    /// Whether enough improbable innovations have come in a row that lie on a line, which outliers do not.
+    fn is_shifted(&mut self, innovation: f64, white_m2: f64) -> bool {
+        let sign = if innovation > 0.0 { 1 } else { -1 };
+        let [first, last] = self.improbable_m.map(f64::from);
+        let steps = f64::from(self.improbable.abs()) - 1.0;
+        let share = if steps > 0.0 { 1.0 / steps } else { 0.0 };
+        let off = innovation - last - share * (last - first);
+        let variance = (1.0 + (1.0 + share).powi(2) + share * share) * white_m2;
+        let on_line = steps < 1.0 || off * off <= MAX_OFF_LINE * MAX_OFF_LINE * variance;
+        let goes_on = self.improbable * sign > 0 && on_line;
+        self.improbable = if goes_on { self.improbable + sign } else { sign };
+        self.improbable_m = [if goes_on { first } else { innovation }, innovation].map(|m| m as f32);
         self.improbable.abs() >= SHIFTED
     }
 
-    /// The covariance where the displacement is not what it was by `off` metres. Where the first improbable innovation
-    /// was as large, the sensor's zero has shifted, and may do so again; else the velocity is wrong.
+    /// The covariance where the displacement is not what it was by `off` metres. Where the innovations do not grow, the
+    /// sensor's zero has shifted, and may do so again; else the velocity is wrong.
     fn shifted(&mut self, mut p: Covariance, off: f64, settings: &Settings) -> Covariance {
         let square = off * off;
         p.0[X][X] += square;
-        if (off - f64::from(self.innovation_m)).abs() < 0.5 * off.abs() {
+        if (off - f64::from(self.improbable_m[0])).abs() < 0.5 * off.abs() {
             p.0[S][S] += square;
             self.noise.shifted(square, settings);
         } else {
@@ -450,7 +458,7 @@ impl Filter {
         }
         let span = self.span(self.at_ns, self.added);
         let age = f64::from(self.age_s) + span.t;
-        let interval = f64::from(self.interval_ms) * 1e-3;
+        let interval = f64::from(self.interval_steps) * (INTERVAL_STEP as f64 * NANOSECOND);
         let lost_s = settings.lost_s.max(LOST_INTERVALS * interval);
         let status = if age <= settings.coasting_s.max(COASTING_INTERVALS * interval) {
             Status::Tracking

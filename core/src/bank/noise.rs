@@ -4,7 +4,8 @@
 //! running mean of E[(y − h x)²] after each measurement (expectation maximisation with forgetting; Shumway and Stoffer
 //! 1982, doi:10.1111/j.1467-9892.1982.tb00349.x), and never less than what is stated. Where innovations go with those
 //! of the last second, the sensor has more slow error than the model says, where they go against them, less: its
-//! variance follows their product (the score of the likelihood has this form: Mehra 1970, doi:10.1109/TAC.1970.1099422).
+//! variance follows their product (the score of the likelihood has this form: Mehra 1970, doi:10.1109/TAC.1970.1099422),
+//! and is never less than stated: an error that lasts longer than the accelerometer remembers shows in no innovation.
 
 use super::settings::Settings;
 use serde::{Deserialize, Serialize};
@@ -25,8 +26,8 @@ const MAX_COLOUR_GAIN: f64 = 0.02;
 const SIZE_WEIGHT: f64 = 2.0;
 /// An innovation counts as no more than this many standard deviations.
 const MAX_SCORE: f64 = 3.0;
-/// Bounds of the slow error's variance, in those of the stated noise.
-const SLOW_RANGE: [f64; 2] = [0.01, 1e6];
+/// Largest variance of the slow error, in that of the stated noise.
+const MAX_SLOW: f64 = 1e6;
 /// Share of measurements that are wrong by any amount, of those after one that was, and how many times as wide they
 /// scatter.
 const OUTLIERS: f64 = 0.02;
@@ -62,8 +63,7 @@ pub struct Shown {
 impl Noise {
     /// As stated.
     pub fn new(settings: &Settings) -> Self {
-        let slow = settings.slow_std / settings.displacement_std;
-        Self { white: 1.0, slow: (slow * slow) as f32, recent: 0.0 }
+        Self { white: 1.0, slow: stated_slow(settings) as f32, recent: 0.0 }
     }
 
     /// Of the white noise, m².
@@ -108,8 +108,8 @@ impl Noise {
             let early = if shown.count < u8::MAX { 2.0 } else { 1.0 };
             let gain = early * (COLOUR_GAIN * shown.interval_s).min(MAX_COLOUR_GAIN);
             let by = gain * (shown.share * score * recent + size);
-            let [least, most] = SLOW_RANGE;
-            self.slow = (f64::from(self.slow) * (1.0 + by.clamp(-0.5, 1.0))).clamp(least, most) as f32;
+            let slow = f64::from(self.slow) * (1.0 + by.clamp(-0.5, 1.0));
+            self.slow = slow.clamp(stated_slow(settings), MAX_SLOW) as f32;
             let kept = 1.0 - (shown.interval_s / COLOUR_S).min(1.0 / COLOUR_INTERVALS);
             self.recent = (kept * (recent + shown.share * score)) as f32;
         }
@@ -118,10 +118,16 @@ impl Noise {
     /// The zero has shifted by the root of this, and may move as far again.
     pub fn shifted(&mut self, square: f64, settings: &Settings) {
         if self.slow > 0.0 {
-            self.slow = self.slow.max((2.0 * square / settings.stated_m2()) as f32).min(SLOW_RANGE[1] as f32);
+            self.slow = self.slow.max((2.0 * square / settings.stated_m2()) as f32).min(MAX_SLOW as f32);
         }
         self.forget();
     }
+}
+
+/// Stated variance of the slow error, in that of the noise.
+#[inline]
+fn stated_slow(settings: &Settings) -> f64 {
+    (settings.slow_std_m / settings.displacement_std_m).powi(2).min(MAX_SLOW)
 }
 
 /// Probability that an innovation of this variance is not an outlier's; doubtful: the one before was.

@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Standard deviation of the acceleration's noise, a sample, m/s².
-    pub acceleration_std: f64,
+    pub acceleration_std_m_s2: f64,
     /// Standard deviation of the displacement's noise, a measurement, m.
-    pub displacement_std: f64,
-    /// Standard deviation of the displacement's slow error before any is measured, m.
-    pub slow_std: f64,
+    pub displacement_std_m: f64,
+    /// Standard deviation of the displacement's slow error, m; more shows in its innovations.
+    pub slow_std_m: f64,
     /// Its correlation time, s.
     pub slow_time_s: f64,
     /// Standard deviation of the delay of the displacement's stamps before it is measured, s.
@@ -41,7 +41,7 @@ impl Settings {
     /// Stated variance of the displacement's noise, m².
     #[inline]
     pub fn stated_m2(&self) -> f64 {
-        self.displacement_std * self.displacement_std
+        self.displacement_std_m * self.displacement_std_m
     }
 
     /// What is added to the states' variances over time; density: of the acceleration's noise, (m/s²)²/Hz.

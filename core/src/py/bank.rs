@@ -42,9 +42,9 @@ struct PyBankSettings {
 impl PyBankSettings {
     fn settings(&self) -> Settings {
         Settings {
-            acceleration_std: self.acceleration_std_m_s2,
-            displacement_std: self.displacement_std_m,
-            slow_std: self.slow_std_m,
+            acceleration_std_m_s2: self.acceleration_std_m_s2,
+            displacement_std_m: self.displacement_std_m,
+            slow_std_m: self.slow_std_m,
             slow_time_s: self.slow_time_s,
             delay_std_s: self.delay_std_s,
             gain_std: self.gain_std,

@@ -3,7 +3,7 @@
 Each point has six states: displacement, velocity, bias of the acceleration, slow error of the displacement sensor,
 delay of its stamps, relative error of the accelerometer's gain. Nothing is calibrated before. A permanent shift of the
 sensor's zero is reported, covered by the band at first and taken for the new zero within some minutes. A slow error
-that lasts longer than `slow_time_s` shows in part only: the accelerometer does not tell it from a motion.
+that lasts longer than some seconds does not show: the accelerometer does not tell it from a motion.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from midspan import _core
 from midspan.checks import positive, refuse
 from midspan.records import Floats, Floats32, GroupRows, Nanoseconds
 
-# Standard deviation of the displacement's slow error before any is measured, in those of its noise.
+# Standard deviation of the displacement's slow error where none is stated, in those of its noise.
 SLOW_RATIO = 1.0
 
 
@@ -57,8 +57,8 @@ class BankSettings:
     """What is known of the sensors of a group before.
 
     acceleration_std_m_s2: standard deviation of the accelerometer's noise, a sample. displacement_std_m: of the
-    displacement sensor's, a measurement; more shows in its innovations. slow_std_m: of its slow error before any is
-    measured; None: as large as its noise. slow_time_s: correlation time of that. delay_std_s: of the delay of its
+    displacement sensor's, a measurement; more shows in its innovations. slow_std_m: of its slow error, of which more
+    shows where it lasts some seconds only; None: as large as its noise. slow_time_s: correlation time of that. delay_std_s: of the delay of its
     stamps, 0: they are exact. gain_std: of the accelerometer's relative gain error, 0: it is exact. bias_walk: density
     of the bias's random walk, (m/s²)²/s. wait_s: a sensor that is behind is waited for so long. coasting_s, lost_s:
     age of the last accepted measurement from which on rows are coasting and lost; at least 5 and 10 of its intervals.
@@ -69,7 +69,7 @@ class BankSettings:
     acceleration_std_m_s2: float
     displacement_std_m: float
     slow_std_m: float | None = None
-    slow_time_s: float = 15.0
+    slow_time_s: float = 30.0
     delay_std_s: float = 0.15
     gain_std: float = 0.03
     bias_walk: float = 1e-8

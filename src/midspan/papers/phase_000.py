@@ -62,7 +62,8 @@ PIXELS = {
     for guarded in ("", " guarded")
     for kind in ("amplitude", "all")
 }
-STEEP = {"flow, steep slopes": Way("phase", "kalman", settings=FLOW)}
+# By the factor of registration: that of its own track is refused where too many phases are wrong.
+STEEP = {"flow, steep slopes": Way("phase", "kalman", settings=FLOW, like="registration")}
 
 
 def scene(name: str, effort: Effort, *, noise: float = 1.0) -> Measured:

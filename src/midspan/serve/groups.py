@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from midspan.engine.point import PointStatus
 from midspan.errors import MidspanError
+from midspan.records import member_name, member_of
 from midspan.serve import reading
 from midspan.serve.engine_link import EngineLink
 from midspan.service.live_socket import ROW, Tree
@@ -69,15 +70,12 @@ class GroupTables:
 
     def names(self) -> list[str]:
         """The points of all groups."""
-        return [f"{name}-{number}" for name, numbers in self._numbers() for number in numbers]
+        return [member_name(name, number) for name, numbers in self._numbers() for number in numbers]
 
     def number(self, point: str) -> tuple[str, int] | None:
         """The group of a point, and its number there; None for what is no point of a group."""
-        group, _, text = point.rpartition("-")
-        numbers = dict(self._numbers()).get(group, range(0))
-        if not (text.isascii() and text.isdecimal() and len(text) <= 6 and text == str(int(text))):
-            return None
-        return (group, int(text)) if int(text) in numbers else None
+        group, number = member_of(point) or ("", 0)
+        return (group, number) if number in dict(self._numbers()).get(group, range(0)) else None
 
     async def table(self, group: str) -> GroupTable | None:
         """How the points of a group stand; None where no engine says so."""

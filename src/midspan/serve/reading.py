@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
+from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries, member_of
 from midspan.serve.viewers import plain
 from midspan.service.journal import rows_stream
 from midspan.service.stored_recording import stored_rows, stored_table
@@ -72,8 +72,8 @@ def first_of_groups(points: Sequence[str], groups: Collection[str], most: int | 
     counts = dict.fromkeys(groups, 0)
     found = []
     for point in points:
-        group, _, number = point.rpartition("-")
-        if most is not None and number.isdecimal() and group in counts:
+        group, _ = member_of(point) or ("", 0)
+        if most is not None and group in counts:
             counts[group] += 1
             if counts[group] > most:
                 continue

@@ -146,9 +146,11 @@ class Group:
     def begun(cls, plan: GroupPlan, state: bytes | None = None, kept_ns: int = 0) -> "Group":
         """A group that nothing has come for yet, or that goes on from its bank's state; kept_ns: of when that is."""
         settings = plan.settings
+        slow_std = settings.displacement_slow_std or settings.displacement_noise_std
         own = BankSettings(
             acceleration_std_m_s2=settings.accelerometer_noise_std * plan.accelerometer_factor,
             displacement_std_m=settings.displacement_noise_std * plan.displacement_factor,
+            slow_std_m=slow_std * plan.displacement_factor,
         )
         bank = None if state is None else Bank.restored(state, own)
         # A group that has more or fewer points than before begins anew.

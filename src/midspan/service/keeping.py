@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from midspan.errors import MidspanError
-from midspan.store.database import StoreFault
+from midspan.store.database import Division, StoreFault
 from midspan.store.store import Batch, Store, open_store
+from midspan.store.upkeep import take_over_left
 
 # Held back at most, in batches of a point and second: an hour of five points. Of groups this many rows are as much.
 MAX_WAITING, GROUP_ROWS = 18_000, 500
@@ -35,12 +36,12 @@ class Keeper:
     """`put` never waits; `write` writes what waits. Whoever uses the store waits for the thread that does so already: a
     connection of SQLite that is closed in the middle of a statement of another thread ends the process.
 
-    points: that it writes, locked as long as the store is open. reason: why the store is away, empty while it takes
-    everything; dropped: batches that were lost.
+    points: that it writes, locked as long as the store is open, as is the site's division. reason: why the store is
+    away, empty while it takes everything; dropped: batches that were lost.
     """
 
-    def __init__(self, where: str, points: Sequence[str] = ()) -> None:
-        self._where, self._points = where, points
+    def __init__(self, where: str, points: Sequence[str] = (), division: Division | None = None) -> None:
+        self._where, self._points, self._division = where, points, division
         self._store: Store | None = None
         self._waiting: deque[Batch] = deque()
         self._weight, self._counting = 0, threading.Lock()
@@ -64,9 +65,11 @@ class Keeper:
                 self.dropped += 1
 
     def store(self) -> Store:
-        """The open store; raises StoreFault, and UsageError for a point that another process writes."""
+        """The open store. Raises StoreFault, and UsageError as `open_store` does."""
         if self._store is None:
-            self._store = open_store(self._where, points=self._points)
+            self._store = open_store(self._where, points=self._points, division=self._division)
+            if self._division is not None:
+                take_over_left(self._where, self._division)
         return self._store
 
     def lock(self, points: Sequence[str]) -> None:

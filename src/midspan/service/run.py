@@ -43,7 +43,7 @@ from midspan.service.running import Running, drafted, line_of, sizes_of
 from midspan.service.topic_commands import TopicCommands
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site
-from midspan.store.database import StoreFault
+from midspan.store.database import Division, StoreFault
 from midspan.store.store import Batch, Store, open_store
 
 TICK_S, FIRST_S, WRITE_S, LOG_S = 0.05, 0.2, 1.0, 60.0
@@ -64,7 +64,7 @@ class Service:
         socket: LiveSocket | None = None,
     ) -> None:
         self.site, self._say, self._note, self._socket = site, say, note, socket
-        self._keeper = Keeper(site.store, site.names)
+        self._keeper = Keeper(site.store, site.names, Division(site.name, site.shard.count if site.shard else 0))
         self._groups = Groups(self._keeper.put, say)
         self._points = drafted(site, [plan.name for plan in site.points])
         self.sizes_px = partial(sizes_of, self._points)
@@ -144,7 +144,9 @@ class Service:
         return last
 
     def claim(self) -> None:
-        """Lock the points, as long as the store can be reached. Raises UsageError where another process has them."""
+        """Lock the points and the division, as long as the store can be reached. Raises UsageError where another
+        process has them.
+        """
         with suppress(StoreFault):
             self._keeper.store()
 

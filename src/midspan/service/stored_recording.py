@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,7 +18,7 @@ from midspan.engine.radar_target import FollowedTarget
 from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import ChirpProfile, RadarInfo, profile_from_json, profile_to_json
 from midspan.radar.frames import bin_m_of
-from midspan.records import NANOSECONDS, RangeFrame, Readings, seconds
+from midspan.records import NANOSECONDS, RangeFrame, Readings, member_name, member_of, seconds
 from midspan.service.calibrations import CHIRPS
 from midspan.service.journal import NEW_DATUM, rows_stream, target_stream
 from midspan.settings.kinds import AUXILIARY, KINDS, LIVE
@@ -58,11 +59,24 @@ def chosen_point(store: Store, name: str | None) -> str:
         raise DataError("The store has no rows yet.")
     if name is None:
         if len(known) > 1:
-            raise UsageError(f"--point must be one of {', '.join(known)}; the store has several points. Name one.")
+            raise UsageError(f"--point must be one of {_listed(known)}; the store has several points. Name one.")
         return known[0]
     if name not in known:
-        raise UsageError(f"--point must be one of {', '.join(known)}; received {name!r}. {nearest(name, known)}")
+        raise UsageError(f"--point must be one of {_listed(known)}; received {name!r}. {nearest(name, known)}")
     return name
+
+
+def _listed(points: Sequence[str]) -> str:
+    """Points by name, of several of a group the first and the last one and how many there are."""
+    numbers = dict[str, list[int]]()
+    for point in points:
+        group, number = member_of(point) or (point, -1)
+        numbers.setdefault(group, []).append(number)
+    parts = list[str]()
+    for group, own in sorted(numbers.items()):
+        names = [group if number < 0 else member_name(group, number) for number in sorted(own)]
+        parts += names if len(names) < 4 else [f"{names[0]} to {names[-1]} ({len(names)} points)"]
+    return ", ".join(parts)
 
 
 def stored_rows(

@@ -30,7 +30,6 @@ from midspan.service.run import Service
 from midspan.service.settings_fault import SettingsFault
 from midspan.settings.shard import shard_of
 from midspan.settings.site import SITE_FILE, ServiceSettings, Shard, Site, load_site, require_folders
-from midspan.store.store import is_address
 from midspan.trees import TreeError, read_toml
 from midspan.writing import write_whole
 
@@ -159,8 +158,8 @@ class Supervisor:
     async def run(self, for_s: float | None = None) -> Tree:
         """Run for this many seconds; None: until `stop`. Returns how all stood.
 
-        Raises UsageError where the address is in use, or another process writes one of the points or runs on the store:
-        before anything is touched.
+        Raises UsageError where the address is in use, or another process writes one of the points, runs on the store or
+        runs the site in another number of shards: before anything is touched.
         """
         address, site = self.settings.service.listen, self.settings.site
         tasks: list[asyncio.Task[Any]] = []
@@ -170,8 +169,7 @@ class Supervisor:
                 listener = opened.enter_context(listening(address, f"{self.settings.file}: service.listen"))
             if site is not None:
                 self._service = self._service_of(site)
-                if not is_address(site.store):
-                    await asyncio.to_thread(self._service.claim)
+                await asyncio.to_thread(self._service.claim)
             try:
                 await self._socket.start()
                 tasks.append(asyncio.create_task(self._states()))

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field
 
 from midspan.errors import UsageError
+from midspan.records import member_name, member_of
 from midspan.settings.fields import Form, IsNumber, Noise, Section
 from midspan.settings.live_axes import MAX_NAME
 from midspan.settings.load import validate
@@ -71,6 +72,9 @@ class GroupSettings(Section):
         description="σ of an accelerometer's noise per sample; larger trusts it less"
     )
     displacement_noise_std: Noise = Field(description="σ of a displacement's noise; larger trusts it less")
+    displacement_slow_std: Noise | None = Field(
+        None, description="σ of its slow error, as multipath of GNSS. Default: as large as its noise"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,14 +111,12 @@ class GroupPlan:
 
     def point(self, number: int) -> str:
         """The name of the point of a number."""
-        return f"{self.settings.name}-{number}"
+        return member_name(self.settings.name, number)
 
     def number(self, point: str) -> int | None:
         """The number of one of the points that are filtered here by its name; None for another name."""
-        name, _, text = point.rpartition("-")
-        if name != self.name or not re.fullmatch(r"0|[1-9]\d{0,5}", text, re.ASCII):
-            return None
-        return int(text) if int(text) in self.numbers else None
+        name, number = member_of(point) or ("", 0)
+        return number if name == self.name and number in self.numbers else None
 
 
 def topic_of(address: str, number: int) -> str:
@@ -155,10 +157,10 @@ def require_names(plans: Sequence[GroupPlan], points: Sequence[str], where: str)
         taken[plan.name.casefold()] = f"the group {plan.name!r}"
     for plan in plans:
         for name, first in taken.items():
-            stem, _, text = name.rpartition("-")
-            if stem == plan.name.casefold() and plan.number(f"{plan.name}-{text}") is not None:
+            group, number = member_of(name) or ("", 0)
+            if group == plan.name.casefold() and number in plan.numbers:
                 raise UsageError(
-                    f"{where}: group {plan.name!r}: name: its point {plan.name}-{text} has the name of {first}. "
+                    f"{where}: group {plan.name!r}: name: its point {plan.point(number)} has the name of {first}. "
                     "Rename one."
                 )
 

@@ -10,6 +10,7 @@ import sqlite3
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -17,9 +18,16 @@ from midspan.errors import DataError, MidspanError, UsageError
 
 # A reader waits so long for a writer's transaction, and a network connection for its server.
 WAIT_S = 5.0
-LOCKS = "locks"
+LOCKS, SHARDS, SERVER = "locks", "shards", "the PostgreSQL store"
+# Numbers of shards that processes run a site as, but for one.
+DIVISIONS = (
+    "SELECT objid::bigint FROM pg_locks WHERE locktype = 'advisory' AND objsubid = 2 AND classid::bigint = %s AND "
+    "objid::bigint <> %s AND database = (SELECT oid FROM pg_database WHERE datname = current_database())"
+)
 # A server that hears nothing of a client's machine for 25 s ends its session, which lets its points go.
 KEEP_ALIVE = "SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 3"
+# PostgreSQL's code for a disk without room; rows that are deleted by one statement.
+DISK_FULL, DELETED_AT_ONCE = "53100", 10_000
 
 Row = tuple[Any, ...]
 
@@ -127,44 +135,34 @@ class PostgresDatabase:
     def __init__(self, url: str, begin: Callable[[Any], None] = lambda _: None) -> None:
         self._url, self._begin = url, begin
         self._connection: Any = None
-        self._opened()
+        with self._session():
+            pass
 
     def execute(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
         """Run one statement; returns its rows."""
-        import psycopg
-
         text = sql.replace("{blob}", "BYTEA").replace("?", "%s")
-        try:
-            with self._opened().cursor() as cursor:
-                cursor.execute(text, tuple(values))
-                return cursor.fetchall() if cursor.description else []
-        except psycopg.OperationalError as error:
-            self.close()
-            raise _unavailable(error) from None
+        with self._session() as session, session.cursor() as cursor:
+            cursor.execute(text, tuple(values))
+            return cursor.fetchall() if cursor.description else []
 
     def execute_many(self, sql: str, rows: Sequence[Sequence[Any]]) -> None:
         """Run one statement with the values of each row."""
-        import psycopg
-
-        try:
-            with self._opened().cursor() as cursor:
-                cursor.executemany(sql.replace("?", "%s"), rows)
-        except psycopg.OperationalError as error:
-            self.close()
-            raise _unavailable(error) from None
+        with self._session() as session, session.cursor() as cursor:
+            cursor.executemany(sql.replace("?", "%s"), rows)
 
     def copy(self, table: str, types: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """Add rows to a table by COPY, within a transaction; types: of its columns."""
-        import psycopg
+        sql = f"COPY {table} FROM STDIN (FORMAT BINARY)"
+        with self._session() as session, session.cursor() as cursor, cursor.copy(sql) as copying:
+            copying.set_types(types)
+            for row in rows:
+                copying.write_row(row)
 
-        try:
-            with self._opened().cursor() as cursor, cursor.copy(f"COPY {table} FROM STDIN (FORMAT BINARY)") as copying:
-                copying.set_types(types)
-                for row in rows:
-                    copying.write_row(row)
-        except psycopg.OperationalError as error:
-            self.close()
-            raise _unavailable(error) from None
+    def delete(self, table: str, condition: str, values: Sequence[Any]) -> None:
+        """Delete rows in steps, so that no statement takes long."""
+        some = f"ctid = ANY (ARRAY (SELECT ctid FROM {table} WHERE {condition} LIMIT {DELETED_AT_ONCE}))"
+        while self.execute(f"DELETE FROM {table} WHERE {some} AND {condition} RETURNING 1", (*values, *values)):
+            pass
 
     def create(self, tables: Sequence[str]) -> None:
         """Run the statements that make tables where there are none: one process after another, as two that make the
@@ -182,14 +180,8 @@ class PostgresDatabase:
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """A block whose statements take effect together, or not at all."""
-        import psycopg
-
-        try:
-            with self._opened().transaction():
-                yield
-        except psycopg.OperationalError as error:
-            self.close()
-            raise _unavailable(error) from None
+        with self._session() as session, session.transaction():
+            yield
 
     def close(self) -> None:
         """Let the connection go."""
@@ -198,39 +190,67 @@ class PostgresDatabase:
                 self._connection.close()
         self._connection = None
 
-    def _opened(self) -> Any:
+    @contextmanager
+    def _session(self) -> Iterator[Any]:
+        """The connection, opened where there is none; what goes wrong with it or its server ends it, as StoreFault."""
         import psycopg
 
+        try:
+            yield self._opened()
+        except (psycopg.OperationalError, psycopg.InterfaceError, psycopg.InternalError) as error:
+            self.close()
+            raise _unavailable(error) from None
+
+    def _opened(self) -> Any:
+        from midspan.store.session import LINE, Session
+
         if self._connection is None or self._connection.closed:
-            try:
-                connection = psycopg.connect(self._url, autocommit=True, connect_timeout=round(WAIT_S))
-            except psycopg.OperationalError as error:
-                raise _unavailable(error) from None
+            connection = Session.connect(self._url, autocommit=True, connect_timeout=round(WAIT_S), **LINE)
             try:
                 self._begin(connection)
-            except BaseException as error:
+            except BaseException:
                 connection.close()
-                if isinstance(error, psycopg.OperationalError):
-                    raise _unavailable(error) from None
                 raise
             self._connection = connection
         return self._connection
 
 
-def _unavailable(error: Exception) -> StoreFault:
+def _unavailable(error: Any) -> StoreFault:
     # The first line says what; the address stays out, it may hold a password.
     line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-    code = "store_full" if "No space left" in line else "store_unavailable"
+    code = "store_full" if error.sqlstate == DISK_FULL else "store_unavailable"
     return StoreFault(code, f"PostgreSQL: the store cannot be used ({line}).")
 
 
 Database = SqliteDatabase | PostgresDatabase
 
 
-class FileLocks:
-    """Locks of points on files in the store's folder. Raises UsageError for a point that another process writes."""
+@dataclass(frozen=True, slots=True)
+class Division:
+    """Into how many shards the site of a name is divided, of which a process runs one; 0: it is not divided.
 
-    def __init__(self, folder: Path, points: Sequence[str]) -> None:
+    Each division has its own parts of groups, so that the locks of these do not exclude the parts of another one.
+    """
+
+    site: str
+    count: int
+
+    def other(self, store: str, count: int) -> UsageError:
+        """The error for a process that runs the site in another division."""
+        running, this = (f"as {one} shard{'s' * (one > 1)}" if one else "without shards" for one in (count, self.count))
+        return UsageError(
+            f"{store}: the site {self.site!r} runs {running}, and {this} the same points would be written twice; "
+            "nothing was changed. Stop everything that runs this site before its shards become more or fewer."
+        )
+
+
+class FileLocks:
+    """Locks of points, and of the site's division, on files in the store's folder.
+
+    Raises UsageError for a point that another process writes, and for a site that runs in another division.
+    """
+
+    def __init__(self, folder: Path, points: Sequence[str], division: Division | None = None) -> None:
         self._files = ExitStack()
         with ExitStack() as undone:
             undone.callback(self.close)
@@ -240,11 +260,42 @@ class FileLocks:
                     file.parent.mkdir(parents=True, exist_ok=True)
                     if not locked(self._files.enter_context(file.open("ab"))):
                         raise _is_written(str(folder), point)
+            if division is not None:
+                # A shard's store is a folder in that of the site.
+                site_folder = folder.parent if division.count else folder
+                self._files.enter_context(_division_file(site_folder, division))
             undone.pop_all()
 
     def close(self) -> None:
         """Let the points go."""
         self._files.close()
+
+
+def _division_file(folder: Path, division: Division) -> IO[bytes]:
+    """The file that all processes of a division share while they run, each with an open one."""
+    with sqlite_faults(folder):
+        (folder / LOCKS).mkdir(parents=True, exist_ok=True)
+        with (folder / LOCKS / SHARDS).open("ab") as guard:
+            # One process after another looks.
+            shared(guard, exclusive=True)
+            file = (folder / LOCKS / f"{SHARDS}.{division.count}").open("a+b")
+            shared(file)
+            for path in (folder / LOCKS).glob(f"{SHARDS}.*"):
+                if path.name != Path(file.name).name:
+                    other = lock_file(path)
+                    if other is None:
+                        file.close()
+                        raise division.other(str(folder), int(path.suffix[1:]))
+                    other.close()
+    return file
+
+
+def shared(file: IO[bytes], *, exclusive: bool = False) -> None:
+    """Lock a file until it is closed, together with others or alone; waits for whoever has it alone."""
+    if sys.platform != "win32":
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH)
 
 
 def lock_file(path: Path) -> IO[bytes] | None:
@@ -269,15 +320,33 @@ def locked(file: IO[bytes] | int) -> bool:
     return True
 
 
-def lock_in_session(connection: Any, points: Sequence[str]) -> None:
-    """Lock points for as long as a connection to PostgreSQL lasts. Raises UsageError as `FileLocks` does."""
+def lock_in_session(connection: Any, points: Sequence[str], division: Division | None = None) -> None:
+    """Lock points, and the site's division, for as long as a connection to PostgreSQL lasts. Raises UsageError as
+    `FileLocks` does.
+    """
+    from midspan.store.session import STATEMENT_S
+
     if points:
         connection.execute(KEEP_ALIVE)
+        connection.execute(f"SET statement_timeout = {round(1e3 * STATEMENT_S)}")
     for point in points:
-        # Advisory locks are 64-bit numbers.
-        number = int.from_bytes(hashlib.blake2b(f"midspan {point}".encode(), digest_size=8).digest(), signed=True)
-        if not connection.execute("SELECT pg_try_advisory_lock(%s)", (number,)).fetchone()[0]:
-            raise _is_written("the PostgreSQL store", point)
+        if not connection.execute("SELECT pg_try_advisory_lock(%s)", (lock_number(point),)).fetchone()[0]:
+            raise _is_written(SERVER, point)
+    if division is None:
+        return
+    site = lock_number(f"{SHARDS} {division.site}", 4)
+    with connection.transaction():
+        # One process after another looks.
+        connection.execute("SELECT pg_advisory_xact_lock(%s)", (lock_number(SHARDS),))
+        connection.execute("SELECT pg_advisory_lock_shared(%s, %s)", (site, division.count))
+        other = connection.execute(DIVISIONS, (site % 2**32, division.count)).fetchone()
+    if other is not None:
+        raise division.other(SERVER, int(other[0]))
+
+
+def lock_number(name: str, size: int = 8) -> int:
+    """The number of an advisory lock by its name; size: 8 bytes, or 4 for one half of two."""
+    return int.from_bytes(hashlib.blake2b(f"midspan {name}".encode(), digest_size=size).digest(), signed=True)
 
 
 def _is_written(store: str, point: str) -> UsageError:

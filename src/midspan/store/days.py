@@ -192,11 +192,6 @@ class Day:
             sql = "DELETE FROM summary WHERE point = ? AND t0_ns >= ?"
             self.database.execute(sql, (point, time_ns - time_ns % summary.FIRST_SLOT_NS))
 
-    def forget_before(self, time_ns: int) -> None:
-        """Remove all from before a time."""
-        for table in self.tables:
-            self.database.execute(f"DELETE FROM {table} WHERE t0_ns < ?", (time_ns,))
-
     @property
     def _with_rows(self) -> list[str]:
         return [name for name in TABLES if name in self.tables]
@@ -295,7 +290,8 @@ class ServerDay(Day):
     def forget_before(self, time_ns: int) -> None:
         """Remove all from before a time."""
         partitions.drop_before(self.database, time_ns // DAY_NS)
-        super().forget_before(time_ns)
+        for table in self.tables:
+            self.database.delete(table, "t0_ns < ?", (time_ns,))
         seconds.forget_before(self.database, time_ns)
 
 

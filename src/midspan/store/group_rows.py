@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from midspan import _core
 from midspan.errors import DataError
-from midspan.records import NANOSECONDS, GroupRows, Nanoseconds, Source, Status
+from midspan.records import NANOSECONDS, GroupRows, Nanoseconds, Source, Status, member_name
 from midspan.store.chunk import Chunk, Columns, decode
 
 MAGIC = b"mg\x01\0"
@@ -27,7 +27,8 @@ VELOCITY = "velocity_m_s"
 class GroupChunk:
     """Rows of a group `name` and the state that they lead to: its instant (ns) and bytes, None: not kept now.
 
-    Points are called NAME-NUMBER. part: of a site in shards, which of them writes (letters, digits and blanks).
+    Points are called NAME-NUMBER. part: of a site in shards, which points its writer has: the first number and the
+    number of shards, such as "1 3"; empty: all.
     """
 
     name: str
@@ -41,23 +42,15 @@ class GroupChunk:
         return f"{self.name} {self.part}".strip()
 
 
-def member_name(group: str, number: int) -> str:
-    """The name of a point of a group."""
-    return f"{group}-{number}"
-
-
 def member_names(group: str, members: NDArray[np.bool_]) -> list[str]:
     """The names of those that are there, members (m,) by their number."""
     return [member_name(group, number) for number in np.flatnonzero(members).tolist()]
 
 
-def member_of(point: str) -> tuple[str, int] | None:
-    """Group and number that a point's name would mean; None where it means none."""
-    name, dash, digits = point.rpartition("-")
-    if not dash or not name or not (digits.isascii() and digits.isdecimal()) or (digits[0] == "0" and len(digits) > 1):
-        return None
-    number = int(digits)
-    return (name, number) if number < 2**32 else None
+def stride(part: str) -> tuple[int, int]:
+    """The first number of a part of a group, and the step from each to the next, which is the number of shards."""
+    first, _, step = part.partition(" ")
+    return (int(first), int(step)) if part else (0, 1)
 
 
 def packed(rows: GroupRows) -> bytes:

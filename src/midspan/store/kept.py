@@ -6,9 +6,10 @@ from contextlib import AbstractContextManager
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.records import member_of
 from midspan.store.database import Database
-from midspan.store.days import DAY_NS, Days
-from midspan.store.group_rows import GROUP, ROWS, member_names, member_of
+from midspan.store.days import DAY_NS, Day, Days
+from midspan.store.group_rows import GROUP, MAGIC, ROWS, grown, member_names
 from midspan.store.pieces import Pieces
 
 Place = tuple[str, str, int]
@@ -39,10 +40,24 @@ class Kept:
         self._site.execute_many(NOTE, sorted(places))
 
     def note_days(self) -> list[Place]:
-        """Keep what all days have."""
-        found = sorted(set().union(*(day.streams() for day in self._days.all())))
-        self.note(found)
-        return found
+        """Keep what all days have, of the points of a group once for all, and which points these are. What the days
+        have, by point.
+        """
+        found, noted, numbers = set[Place](), set[Place](), dict[str, list[int]]()
+        for day in self._days.all():
+            for point, stream, number in day.streams():
+                found.add((point, stream, number))
+                member = member_of(point) if _is_of_a_group(day, point, stream) else None
+                noted.add((point, stream, number) if member is None else (member[0], GROUP, number))
+                if member is not None:
+                    numbers.setdefault(member[0], []).append(member[1])
+        self.note(noted)
+        for name, own in numbers.items():
+            members = grown(self.members(name), np.array(own, dtype=np.uint32), 0)
+            if not members[own].all():
+                members[own] = True
+                self.note_members(name, "", members)
+        return sorted(found)
 
     def note_members(self, name: str, part: str, members: NDArray[np.bool_]) -> None:
         """Keep which points of a group there are: members (m,), by their number."""
@@ -122,3 +137,11 @@ class Kept:
     def _of_days(self) -> set[Place]:
         """Point, stream and day of a store of schema 1 that is only read, from its days."""
         return set().union(*(day.streams() for day in self._days.all()))
+
+
+def _is_of_a_group(day: Day, point: str, stream: str) -> bool:
+    """Whether the blocks of a stream are those of a point of a group."""
+    if stream != ROWS or member_of(point) is None:
+        return False
+    head = day.head(point, stream, day.begins(point, stream)[-1], len(MAGIC))
+    return head is not None and head[1] == MAGIC

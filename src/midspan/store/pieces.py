@@ -10,15 +10,15 @@ import secrets
 import struct
 import threading
 import zlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from midspan.records import NANOSECONDS
+from midspan.records import NANOSECONDS, member_of
 from midspan.store.chunk import Chunk, Layout, body_of, chunk_of, encode, layout_of, span_of
-from midspan.store.database import PostgresDatabase, StoreFault, lock_file, locked, sqlite_faults
-from midspan.store.group_rows import GROUP, ROWS, SHOWN, decoded, member_of, part_of_pack
+from midspan.store.database import PostgresDatabase, StoreFault, lock_file, lock_number, locked, sqlite_faults
+from midspan.store.group_rows import GROUP, ROWS, SHOWN, decoded, part_of_pack, stride
 from midspan.store.seconds import merge
 
 LOGS = "log"
@@ -99,6 +99,7 @@ class FilePieces:
     _layouts: dict[bytes, int] = field(default_factory=dict)
     _size: int = 0
     _synced_ns: int | None = None
+    _is_synced: bool = False
     _with_groups: bool = False
 
     @property
@@ -129,15 +130,17 @@ class FilePieces:
             newest_ns = max([int(chunk.time_ns[-1]) for chunk in chunks] + [one.t1_ns for one in packs])
             if self._synced_ns is None:
                 self._synced_ns = newest_ns
+            self._is_synced = False
             if abs(newest_ns - self._synced_ns) >= SYNC_S * NANOSECONDS:
                 self.sync()
                 self._synced_ns = newest_ns
 
     def sync(self) -> None:
         """Bring what was added to the disk. Raises StoreFault."""
-        if self._file is not None:
+        if self._file is not None and not self._is_synced:
             with sqlite_faults(self.folder):
                 os.fsync(self._file)
+            self._is_synced = True
 
     def of(self, point: str, stream: str) -> list[Piece]:
         """A stream's pieces in all logs, in the order of time."""
@@ -176,22 +179,25 @@ class FilePieces:
                     return
                 os.close(file)
 
-    def abandoned(self) -> Iterator[tuple[list[Piece], Path]]:
-        """The pieces of logs whose process has ended; each log is removed once it was dealt with."""
+    def take_over(self, keys: Collection[str], make_blocks: Callable[[Sequence[Piece]], None]) -> list[int]:
+        """Make blocks of the logs whose process has ended, and remove them; how many pieces each had."""
+        counts = []
         for path in sorted(self.folder.glob("*.log")):
             file = None if path == self._path else lock_file(path)
             if file is None:
                 continue
             with file:
-                yield list(read(path)), path
+                make_blocks(pieces := list(read(path)))
+                counts.append(len(pieces))
             path.unlink(missing_ok=True)
+        return counts
 
     def clear(self, pieces: Sequence[Piece]) -> None:
         """Begin the log anew: its pieces are blocks now. Raises StoreFault."""
         if self._file is not None:
             with sqlite_faults(self.folder):
                 os.ftruncate(self._file, 0)
-        self._layouts, self._size, self._synced_ns, self._with_groups = {}, 0, None, False
+        self._layouts, self._size, self._is_synced, self._with_groups = {}, 0, False, False
 
     def close(self) -> None:
         """Let the log go; it is removed where it is empty."""
@@ -409,9 +415,23 @@ class TablePieces:
         found = [one for point in points for one in self._where("point = ?", (point,))]
         return found + [one for key in points for one in self._packs("TRIM(name || ' ' || part) = ?", (key,))]
 
-    def abandoned(self) -> Iterator[tuple[list[Piece], Path]]:
-        """What an ended process left is its point's next writer's own."""
-        return iter(())
+    def take_over(self, keys: Collection[str], make_blocks: Callable[[Sequence[Piece]], None]) -> list[int]:
+        """Make blocks of what another number of shards left of these groups; how many pieces each part had. What is of
+        a point, or of a part of the same number, is its next writer's own.
+        """
+        counts, shards = [], {name: stride(part)[1] for name, _, part in (one.partition(" ") for one in keys)}
+        for name, part in self.database.execute("SELECT DISTINCT name, part FROM group_piece ORDER BY name, part"):
+            if stride(str(part))[1] == shards.get(str(name), stride(str(part))[1]):
+                continue
+            with self.database.transaction():
+                # Other shards wait: the rows that they write follow these.
+                place = (str(name), str(part))
+                self.database.execute("SELECT pg_advisory_xact_lock(?)", (lock_number(" ".join(place).strip()),))
+                if pieces := self._packs("name = ? AND part = ?", place):
+                    make_blocks(pieces)
+                    self.database.execute("DELETE FROM group_piece WHERE name = ? AND part = ?", place)
+                    counts.append(len(pieces))
+        return counts
 
     def clear(self, pieces: Sequence[Piece]) -> None:
         """Remove pieces that are blocks now. Raises StoreFault."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from midspan.records import NANOSECONDS
 from midspan.store.chunk import Chunk
-from midspan.store.database import Database
+from midspan.store.database import Database, PostgresDatabase
 from midspan.store.summary import entries
 
 # Names and units are those of `series` of the interface; of rows that are lost there is a status alone.
@@ -46,9 +46,9 @@ def merge(database: Database, chunk: Chunk) -> None:
     database.execute(MERGE, values)
 
 
-def forget_before(database: Database, time_ns: int) -> None:
+def forget_before(database: PostgresDatabase, time_ns: int) -> None:
     """Remove the seconds before a time."""
-    database.execute("DELETE FROM displacement_1s WHERE time < to_timestamp(?)", (time_ns // NANOSECONDS,))
+    database.delete("displacement_1s", "time < to_timestamp(?)", (time_ns // NANOSECONDS,))
 
 
 def forget_since(database: Database, point: str, time_ns: int) -> list[str]:

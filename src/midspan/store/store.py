@@ -17,7 +17,7 @@ from midspan.errors import DataError, MidspanError, UsageError
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds
 from midspan.store.blocks import blocks_of, joined
 from midspan.store.chunk import Chunk
-from midspan.store.database import Database, FileLocks, PostgresDatabase, SqliteDatabase, lock_in_session
+from midspan.store.database import Database, Division, FileLocks, PostgresDatabase, SqliteDatabase, lock_in_session
 from midspan.store.days import BLOCK_S, DAY_NS, DAY_TABLES, DAYS, REACH_NS, Days, OneDatabase, part_of
 from midspan.store.group_rows import GROUP, GroupChunk
 from midspan.store.group_state import StateFiles
@@ -141,21 +141,21 @@ class Store:
         SYNC_S. After an exception any part of it may be kept, and it is to be written again. The chunks come first: a
         checkpoint is never newer than what it rests on. Raises StoreFault.
         """
+        lasting = [one.key for one in batch.groups if self._groups.is_due(one)]
         try:
             new = [one for chunk in batch.chunks for one in self._new_rows(chunk)]
             packs = [one for chunk in batch.groups for one in self._groups.new_packs(chunk)]
             if new or packs:
                 self._points.update(one.key for one in batch.groups)
                 self._keep(new, packs)
-            if batch.checkpoints:
+            if batch.checkpoints or lasting:
                 self._pieces.sync()
         except BaseException:
             self._newest.clear()
             self._groups.forget_newest()
             raise
         for group in batch.groups:
-            if group.checkpoint is not None:
-                self._groups.states.put(group.key, *group.checkpoint)
+            self._groups.put_state(group, lasting=group.key in lasting)
         if batch.events:
             with self._site.transaction():
                 for point, event in batch.events:
@@ -196,10 +196,7 @@ class Store:
 
     def take_over(self) -> list[int]:
         """Make blocks of what ended processes left in their logs; how many pieces each had."""
-        counts = []
-        for pieces, _ in self._pieces.abandoned():
-            self._make_blocks(pieces)
-            counts.append(len(pieces))
+        counts = self._pieces.take_over(self._points, self._make_blocks)
         for piece in self._pieces.own(sorted(self._points)):
             self._begun.setdefault((piece.point, piece.stream), piece.t0_ns)
         self._took_over = True
@@ -210,6 +207,8 @@ class Store:
         if not self._begun:
             return
         pieces = self._pieces.own(sorted(self._points))
+        # What the site's file says of rows is to outlive no row.
+        self._pieces.sync()
         self._make_blocks(pieces)
         self._pieces.clear(pieces)
         self._begun.clear()
@@ -476,19 +475,21 @@ class Store:
 
     def group_checkpoint(self, key: str) -> tuple[int, bytes] | None:
         """A group's newest state, by `GroupChunk.key`, and its instant (ns). Raises DataError for a damaged one."""
-        return self._groups.states.get(key)
+        return self._groups.checkpoint(key)
 
 
-def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[str] = ()) -> Store:
+def open_store(
+    where: str | Path, *, read_only: bool = False, points: Sequence[str] = (), division: Division | None = None
+) -> Store:
     """The store in a folder, or at a `postgresql://` address; made where there is none, unless it is only read.
 
-    points: whose records will be written: locked until the store is closed. Raises DataError where there is none to
-    read, UsageError for one of another version and, before anything is written, for a point that another process
-    writes; StoreFault where it cannot be reached.
+    points: whose records will be written: locked until the store is closed, as is the site's division. Raises DataError
+    where there is none to read, UsageError for one of another version and, before anything is written, for a point that
+    another process writes or a site that runs in another division; StoreFault where it cannot be reached.
     """
     with ExitStack() as opened:
         if is_address(where):
-            server = PostgresDatabase(str(where), partial(lock_in_session, points=points))
+            server = PostgresDatabase(str(where), partial(lock_in_session, points=points, division=division))
             database: Database = server
             store = Store(server, server, OneDatabase(server), TablePieces(server), StateTable(server), points=points)
             tables: tuple[str, ...] = (*SITE_TABLES, *CHECKPOINT_TABLES, *DAY_TABLES, *SERVER_TABLES)
@@ -498,7 +499,7 @@ def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[s
                 raise DataError(
                     f"{folder}: is not a store: it has no {SITE_FILE}. `midspan replay` and `midspan run` create one."
                 )
-            locks = FileLocks(folder, points)
+            locks = FileLocks(folder, points, division)
             opened.callback(locks.close)
             database = SqliteDatabase(folder / SITE_FILE, read_only=read_only)
             pieces = FilePieces(folder / LOGS, read_only)

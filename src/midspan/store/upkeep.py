@@ -5,15 +5,15 @@ import shutil
 import sqlite3
 import tarfile
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from midspan.errors import DataError, UsageError
-from midspan.store.database import LOCKS, Database, FileLocks, SqliteDatabase, lock_file, sqlite_faults
+from midspan.errors import DataError, MidspanError, UsageError
+from midspan.store.database import LOCKS, Database, Division, FileLocks, SqliteDatabase, lock_file, sqlite_faults
 from midspan.store.days import DAYS, TABLES
 from midspan.store.group_rows import decoded
-from midspan.store.group_state import STATES, is_damaged
+from midspan.store.group_state import STATES, files_of, is_damaged
 from midspan.store.parts import kept_checkpoint
 from midspan.store.pieces import LOGS, whole_bytes
 from midspan.store.store import CHECKPOINT_FILE, SITE_FILE, Store, is_address, open_store
@@ -61,7 +61,9 @@ def check(where: str) -> Checked:
             faults += [Fault(CHECKPOINT_FILE, text) for _, text in _damaged_checkpoints(database)]
     states = sorted((folder / STATES).glob("*.0"))
     faults += [
-        Fault(str(file.relative_to(folder)), "the group's state is damaged") for file in states if is_damaged(file)
+        Fault(str(file.relative_to(folder)), "the group's state is damaged")
+        for file in states
+        if is_damaged(files_of(file))
     ]
     logs = _logs(folder)
     for log in logs:
@@ -91,9 +93,9 @@ def repair(where: str) -> list[str]:
         for file in sorted((folder / DAYS).glob("*.sqlite")):
             done += [f"{file.relative_to(folder)}: removed: {text}" for text in _without_damaged_chunks(file)]
         for file in sorted((folder / STATES).glob("*.0")):
-            if is_damaged(file):
-                file.unlink()
-                file.with_suffix(".1").unlink()
+            if is_damaged(files_of(file)):
+                for one in files_of(file):
+                    one.unlink(missing_ok=True)
                 done.append(f"{file.relative_to(folder)}: the state of the group was removed; its points open anew")
         with closing(open_store(where)) as store:
             done += _checkpoints_removed(store)
@@ -102,6 +104,19 @@ def repair(where: str) -> list[str]:
     finally:
         locks.close()
     return done
+
+
+def take_over_left(where: str, division: Division) -> None:
+    """Make blocks of what another division of a site left in the logs of stores that this one has not."""
+    if is_address(where):
+        return
+    folder = Path(where).parent if division.count else Path(where)
+    used = [f"shard-{number}" for number in range(1, division.count + 1)] or [folder.name]
+    for place in [folder, *sorted(folder.glob("shard-*"))]:
+        if place.name not in used and (place / SITE_FILE).is_file() and _logs(place):
+            # What is damaged stays as it is; `repair` names it.
+            with suppress(MidspanError), closing(open_store(place)) as store:
+                store.take_over()
 
 
 def backup(where: str, target: Path) -> list[str]:
