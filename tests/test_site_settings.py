@@ -2,7 +2,7 @@
 
 import pytest
 
-from midspan.errors import DataError, UsageError
+from midspan.errors import UsageError
 from midspan.settings.live_sources import without_secrets
 from midspan.settings.site import is_site, load_site, require_folders
 
@@ -278,7 +278,7 @@ def test_folders_that_cannot_be_made_are_named_with_their_key(tmp_path, monkeypa
 
 
 def test_a_missing_file_is_no_traceback(tmp_path):
-    with pytest.raises(DataError, match="cannot be read"):
+    with pytest.raises(UsageError, match="cannot be read"):
         load_site(tmp_path / "SITE.toml")
 
 

@@ -1,20 +1,29 @@
 """The watch over the shards of a fleet: what ends or hangs starts again, after growing pauses, and all end with it."""
 
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
+import threading
 import time
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
+from benchmarks.live.servers import command
 
+from midspan.cli.access import announce_admin
+from midspan.cli.console import Console
 from midspan.errors import UsageError
-from midspan.scale import fleet_processes, pulse
+from midspan.scale import fleet_processes, fleet_status, pulse
 from midspan.scale.fleet import Fleet, ShardState, driver_lock, fleet_file, read_fleet, watch
 from midspan.scale.fleet_processes import ShardProcess
-from midspan.scale.fleet_status import asked
+from midspan.scale.fleet_status import address_of, asked, at_once
 from midspan.scale.pulse import Pauses, Pulse
 from midspan.service.notify import notify
 
@@ -142,6 +151,85 @@ def test_a_shard_that_does_not_answer_is_not_ready():
     ready, text = asked("127.0.0.1:1", tls=False)
     assert not ready
     assert "no answer" in text
+
+
+@pytest.fixture
+def server():
+    """A function that starts a server which answers each request with some bytes, None: with nothing; its address."""
+    servers = []
+
+    def start(answer):
+        listening = socket.create_server(("127.0.0.1", 0))
+        servers.append(listening)
+
+        def run():
+            with suppress(OSError):
+                while True:
+                    connection, _ = listening.accept()
+                    if answer is None:
+                        servers.append(connection)
+                        continue
+                    with connection:
+                        connection.recv(10_000)
+                        connection.sendall(answer)
+
+        threading.Thread(target=run, daemon=True).start()
+        return f"127.0.0.1:{listening.getsockname()[1]}"
+
+    yield start
+    for one in servers:
+        one.close()
+
+
+@pytest.mark.parametrize("answer", [b"no HTTP at all\r\n\r\n", b"", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\n{}"])
+def test_what_answers_something_else_is_no_traceback(server, answer):
+    ready, text = asked(server(answer), tls=False)
+    assert not ready
+    assert text.startswith("no answer (")
+    assert len(text) > len("no answer ()")
+
+
+def test_shards_are_asked_at_once(server, monkeypatch):
+    monkeypatch.setattr(fleet_status, "ANSWER_S", 1.0)
+    body = b'{"ready": true}'
+    well = server(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n%b" % (len(body), body))
+    addresses = [*(server(None) for _ in range(7)), well]
+    begun_s = time.monotonic()
+    answers = at_once([partial(asked, address, tls=False) for address in addresses])
+    # One time-out for all of them, and some time of a busy machine.
+    assert time.monotonic() - begun_s < 4.0
+    assert [one.ready for one in answers] == [False] * 7 + [True]
+    assert all("no answer" in one.text for one in answers[:7])
+
+
+def test_a_shard_of_another_machine_is_asked_there():
+    there = ShardState(1, 5, 0, "node-7", "", "10.0.0.7")
+    here = replace(there, host=socket.gethostname())
+    for state in (None, ShardState(1, 5), here):
+        assert address_of("127.0.0.1:8080", state) == "127.0.0.1:8080"
+        assert address_of("0.0.0.0:8443", state) == "127.0.0.1:8443"
+        assert address_of("[::]:8443", state) == "[::1]:8443"
+    assert address_of("0.0.0.0:8443", there) == "10.0.0.7:8443"
+    assert address_of("0.0.0.0:8443", replace(there, address="fd00::7")) == "[fd00::7]:8443"
+    assert address_of("bridge.example.org:8443", there) == "bridge.example.org:8443"
+    # Nobody else can ask it.
+    assert address_of("127.0.0.1:8080", there) is None
+
+
+def test_a_site_that_is_not_there_is_wrong_use(tmp_path):
+    for line in (["fleet", "nowhere.toml"], ["fleet", "nowhere.toml", "--status"], ["run", "nowhere.toml"]):
+        done = subprocess.run(command(*line), cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 2, line
+        assert "nowhere.toml: cannot be read" in done.stderr
+
+
+def test_a_password_says_which_shard_it_is_for(tmp_path, capfd):
+    announce_admin(str(tmp_path / "one"), Console(quiet=False, as_json=True), "2/3")
+    assert json.loads(capfd.readouterr().err)["shard"] == "2/3"
+    announce_admin(str(tmp_path / "two"), Console(quiet=False, as_json=False), "2/3")
+    assert capfd.readouterr().out.startswith("shard 2/3: admin: password: ")
+    announce_admin(str(tmp_path / "three"), Console(quiet=False, as_json=False))
+    assert capfd.readouterr().out.startswith("admin: password: ")
 
 
 def test_a_site_has_one_driver_at_a_time(tmp_path):

@@ -90,7 +90,11 @@ def test_one_message_has_the_blocks_of_all_points_and_a_shard_takes_its_own():
         (b"", "0 bytes"),
         (of_group(5, np.ones((5, 2))), "5 points; the group has 6"),
         (of_group(6, np.ones((6, 2)), n=3), "bytes for 6 points and 3 values"),
-        (of_group(6, np.ones((6, 2)), kind=1), "kind 1 where 4 is expected"),
+        (of_group(6, np.ones((6, 2)), kind=1), "kind 1 where 4 is expected.*of all points.*{i}"),
+        (
+            b'{"sequence": 1, "t0": 5, "dt_s": 0.01, "values": [1.0]}',
+            "JSON where messages of all points are binary and of kind 4",
+        ),
         (of_group(6, np.ones((6, 2)), t0_ns=0), "outside the years"),
         (of_group(6, np.ones((6, 2)), dt_ns=0), "a microsecond"),
     ],
@@ -98,6 +102,13 @@ def test_one_message_has_the_blocks_of_all_points_and_a_shard_takes_its_own():
 def test_what_is_no_message_of_all_points_is_refused(payload, said):
     with pytest.raises(SourceFault, match=said):
         of_all(4, 6, range(6), payload)
+
+
+def test_a_message_of_all_points_on_the_topic_of_one_says_so():
+    refused = Refusals()
+    assert of_points(ACCELERATION, [3], [of_group(6, np.ones((6, 2)))], refused) == []
+    assert refused.counts == {"payload": 1}
+    assert "kind 4 where 1 is expected" in refused.texts["payload"]
 
 
 def test_stamps_of_the_future_are_left_out_of_the_others():

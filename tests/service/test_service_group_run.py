@@ -19,6 +19,7 @@ from midspan.engine.bank import Bank, BankBlocks, BankSensor, BankSettings
 from midspan.records import NANOSECONDS
 from midspan.service.mqtt import Broker
 from midspan.service.packets import acknowledgements, parts, publication
+from midspan.service.reasons import NOT_CALIBRATED
 from midspan.settings.site import MqttSettings
 from midspan.sources.live.blocks import RESULT, parse
 from midspan.store.chunk import join
@@ -150,9 +151,12 @@ def test_each_point_publishes_its_own_displacement(site, broker):
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id="watcher")
     client.on_message = lambda _client, _data, message: came.setdefault(message.topic, []).append(message.payload)
     client.connect("127.0.0.1", broker)
-    client.subscribe([("midspan/v1/fleet/+/displacement", 0), ("midspan/v1/fleet/+/state", 0)])
+    client.subscribe(
+        [("midspan/v1/fleet/+/displacement", 0), ("midspan/v1/fleet/+/state", 0), ("midspan/v1/fleet/+/event", 0)]
+    )
     client.loop_start()
     try:
+        client.publish("midspan/v1/fleet/north-3/cmd/calibrate", b"", qos=1)
         for second in range(14):
             site.send(second)
             time.sleep(0.2)
@@ -166,6 +170,7 @@ def test_each_point_publishes_its_own_displacement(site, broker):
         states = until(lambda: len([one for one in came if one.endswith("/state")]) == POINTS)
         assert states
     finally:
+        client.disconnect()
         client.loop_stop()
     wanted = site.bank_rows(14)
     for point, topic in enumerate(topics):
@@ -176,14 +181,16 @@ def test_each_point_publishes_its_own_displacement(site, broker):
         # As float32 of millimetres.
         np.testing.assert_allclose(np.concatenate([one.values for one in found]), 1e3 * displacement_m, rtol=1e-6)
         np.testing.assert_allclose(np.concatenate([one.std for one in found]), 1e3 * std_m, rtol=1e-6)
+    events = [json.loads(one) for one in came["midspan/v1/fleet/north-3/event"]]
+    assert [(one["kind"], one["text"]) for one in events] == [("command", f"north-3: {NOT_CALIBRATED}")]
     newest = json.loads(came["midspan/v1/fleet/north-3/state"][-1])
     assert newest["point"] == "north-3"
     assert newest["status"] in ("tracking", "coasting")
 
 
-def asked(site, path, token=None):
-    """Status and body of a GET."""
-    request = urllib.request.Request(f"http://127.0.0.1:{site.web}{path}")
+def asked(site, path, token=None, method="GET"):
+    """Status and body of an answer."""
+    request = urllib.request.Request(f"http://127.0.0.1:{site.web}{path}", method=method)
     if token:
         request.add_header("Authorization", f"Bearer {token}")
     try:
@@ -197,7 +204,7 @@ def asked(site, path, token=None):
 
 def test_the_interface_shows_points_of_a_group(site):
     assert until(lambda: asked(site, "/healthz")[0] == 200)
-    line = command("access", site.store, "add-token", "test", "--scope", "read", "--json")
+    line = command("access", site.store, "add-token", "test", "--scope", "operate", "--json")
     token = json.loads(subprocess.run(line, check=True, capture_output=True).stdout)["token"]
     sent = iter(range(60))
     url = f"ws://127.0.0.1:{site.web}/api/v1/live?points=north-3"
@@ -225,6 +232,8 @@ def test_the_interface_shows_points_of_a_group(site):
     assert first[-1]["name"] == "north-7"
     assert json.loads(asked(site, "/api/v1/points/north-3", token)[1])["name"] == "north-3"
     assert asked(site, "/api/v1/points/north-12", token)[0] == 404
+    status, body = asked(site, "/api/v1/points/north-3/calibrate", token, "POST")
+    assert (status, json.loads(body)["detail"]) == (409, f"north-3: {NOT_CALIBRATED}")
     series = json.loads(asked(site, "/api/v1/points/north-3/series", token)[1])
     assert len(series["time"]) > 100
     assert 'midspan_group_points{group="north"' in asked(site, "/metrics")[1]
@@ -255,11 +264,12 @@ def test_packets_of_many_messages_reach_the_broker(broker):
     try:
         assert until(lambda: sender.connected)
         assert until(lambda: came)
-        sender.publish_all(messages)
+        sender.publish_results(messages)
         wanted = [(f"midspan/v1/site/{topic}", payload) for topic, payload in messages]
         assert until(lambda: [one for one in came if "/p-" in one[0]] == wanted)
     finally:
         sender.stop()
+        client.disconnect()
         client.loop_stop()
 
 
@@ -267,5 +277,31 @@ def test_packets_are_those_of_the_standard():
     assert publication("a/b", b"xy") == b"\x30\x08\x00\x03a/b\x00xy"
     assert publication("t", b"z" * 124)[:3] == b"\x30\x80\x01"
     assert acknowledgements([1, 515]) == b"\x40\x02\x00\x01\x40\x02\x02\x03"
-    assert b"".join(parts([b"x" * 40_000] * 5)) == b"x" * 200_000
-    assert max(map(len, parts([b"x" * 40_000] * 5))) == 80_000
+    found = list(parts([b"x" * 40_000] * 5))
+    assert b"".join(one.packets for one in found) == b"x" * 200_000
+    assert [len(one.packets) for one in found] == [80_000, 80_000, 40_000]
+    assert [one.messages for one in found] == [2, 2, 1]
+
+
+def test_a_broker_that_comes_back_without_memory_has_all_states(site, mosquitto):
+    import paho.mqtt.client as mqtt
+
+    for second in range(5):
+        site.send(second)
+    assert site.reaches(2)
+    mosquitto.stop()
+    mosquitto.start()
+    assert until(lambda: is_online(mosquitto.port))
+    came = {}
+    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id="newcomer")
+    client.on_message = lambda _client, _data, message: came.setdefault(message.topic, message.payload)
+    client.connect("127.0.0.1", mosquitto.port)
+    client.subscribe("midspan/v1/fleet/+/state", 1)
+    client.loop_start()
+    try:
+        assert until(lambda: len(came) == POINTS), came
+    finally:
+        client.disconnect()
+        client.loop_stop()
+    names = {json.loads(payload)["point"] for payload in came.values()}
+    assert names == {f"north-{number}" for number in range(POINTS)}

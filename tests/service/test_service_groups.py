@@ -1,6 +1,7 @@
 """A group in the shell: rows are those of a bank that is fed the same blocks, each point has its own, none doubles."""
 
 import asyncio
+import json
 import struct
 import threading
 from contextlib import closing
@@ -12,6 +13,7 @@ import pytest
 from midspan.engine.bank import Bank, BankBlocks, BankSensor, BankSettings
 from midspan.engine.point import PointStatus
 from midspan.records import NANOSECONDS, Event, GroupRows
+from midspan.serve.groups import GroupTable
 from midspan.service.group import Group, max_bytes_of, numbered
 from midspan.service.group_results import (
     LOST,
@@ -25,6 +27,7 @@ from midspan.service.group_results import (
 )
 from midspan.service.groups import MAX_EVENTS, Groups, fewer, row_bytes
 from midspan.service.live_socket import ROW
+from midspan.service.packets import Receipt
 from midspan.settings.group import GroupPlan, GroupSettings
 from midspan.sources.live.blocks import HEAD, RESULT, parse
 from midspan.store.chunk import join
@@ -69,13 +72,13 @@ def messages(second, *, shared=False):
     return found
 
 
-def fed(group, seconds, **options):
+def fed(group, seconds, connection=1, **options):
     """What a group gives of some seconds, one after another."""
     found = []
     for second in seconds:
         for topic, payload in messages(second, **options):
             if (place := group.topics.get(topic)) is not None:
-                place[0].put(place[1], payload, (1, 1 + second))
+                place[0].put(place[1], payload, Receipt(connection, 1 + second))
         found.append(group.second((BEGIN_S + second + 1) * NANOSECONDS))
     return found
 
@@ -127,7 +130,7 @@ def test_what_came_while_the_service_was_away_gives_the_same_rows():
     sent = [message for second in seconds for message in messages(second)]
     for number, (topic, payload) in enumerate(sent):
         inbox, place = group.topics[topic]
-        inbox.put(place, payload, (1, number + 1))
+        inbox.put(place, payload, Receipt(1, number + 1))
     found = by_point([group.second((BEGIN_S + 101) * NANOSECONDS).rows])
     assert_same(found, by_point([one.rows for one in fed(Group.begun(plan()), seconds)]))
 
@@ -136,7 +139,7 @@ def test_blocks_of_a_point_are_counted_in_the_order_of_time():
     group, sent = Group.begun(plan()), [message for second in range(30) for message in messages(second)]
     # A second that never came makes two runs of each point.
     for topic, payload in sent[: 40 * POINTS] + sent[44 * POINTS :]:
-        group.topics[topic][0].put(group.topics[topic][1], payload, (1, 1))
+        group.topics[topic][0].put(group.topics[topic][1], payload, Receipt(1, 1))
     rows = joined_runs(group.second((BEGIN_S + 31) * NANOSECONDS).rows)
     blocks = [parse(body, RESULT) for place, body in result_blocks(rows, np.zeros(POINTS, np.uint32)) if place == 3]
     assert len(blocks) > 1
@@ -153,6 +156,20 @@ def test_what_the_broker_brings_again_is_no_event():
     kinds = {event.kind for one in again for _, event in one.events}
     assert "late" not in kinds
     assert len(by_point([one.rows for one in again])[0][0]) >= 100
+
+
+def test_what_the_broker_brings_again_by_another_connection_is_no_event():
+    group = Group.begun(plan())
+    fed(group, range(8))
+    # What was not acknowledged by the connection that was lost, and what the broker kept meanwhile.
+    for number, (topic, payload) in enumerate(message for second in range(5, 12) for message in messages(second)):
+        inbox, place = group.topics[topic]
+        inbox.put(place, payload, Receipt(2, number + 1))
+    given = group.second((BEGIN_S + 12) * NANOSECONDS)
+    assert given.events == []
+    assert given.rows.count[given.rows.point == 0].sum() >= 300
+    # Of the same connection a reading that comes late is an event as ever.
+    assert [event.kind for one in fed(group, [*range(12, 18), 14], connection=2) for _, event in one.events] == ["late"]
 
 
 def test_each_point_has_its_own_displacement():
@@ -186,7 +203,7 @@ def test_messages_that_are_no_blocks_are_one_event_a_minute():
     inbox, events = group.inboxes[0], []
     for second in range(130):
         for place in range(POINTS):
-            inbox.put(place, b"\x01 no block", (1, 1))
+            inbox.put(place, b"\x01 no block", Receipt(1, 1))
         events += group.second((BEGIN_S + second) * NANOSECONDS).events
     assert [one[0] for one in events] == ["north"] * 3
     assert [event.kind for _, event in events] == ["payload"] * 3
@@ -201,22 +218,22 @@ def test_what_came_may_be_acknowledged_and_what_waits_is_bounded(monkeypatch):
     assert len(fed(group, range(1))[0].receipts) == 2 * POINTS
     monkeypatch.setattr("midspan.service.group.MAX_WAITING_BYTES", 10)
     monkeypatch.setattr("midspan.service.group.ROOM_WAIT_S", 0.0)
-    assert group.inboxes[0].put(0, b"x" * 10, (1, 1))
+    assert group.inboxes[0].put(0, b"x" * 10, Receipt(1, 1))
     # Both sensors have one room.
-    assert not group.inboxes[1].put(0, b"x", (1, 2))
+    assert not group.inboxes[1].put(0, b"x", Receipt(1, 2))
     given = group.second(BEGIN_S * NANOSECONDS)
-    assert given.receipts == [(1, 1)]
+    assert given.receipts == [Receipt(1, 1)]
     assert {event.kind for _, event in given.events} == {"overflow", "payload"}
-    assert group.inboxes[0].put(0, b"x" * 10, (1, 1))
+    assert group.inboxes[0].put(0, b"x" * 10, Receipt(1, 1))
 
 
 def test_a_message_waits_until_there_is_room(monkeypatch):
     monkeypatch.setattr("midspan.service.group.MAX_WAITING_BYTES", 10)
     group = Group.begun(plan())
-    assert group.inboxes[0].put(0, b"x" * 10, (1, 1))
+    assert group.inboxes[0].put(0, b"x" * 10, Receipt(1, 1))
     reader = threading.Timer(0.2, lambda: group.second(BEGIN_S * NANOSECONDS))
     reader.start()
-    assert group.inboxes[1].put(0, b"x" * 10, (1, 2))
+    assert group.inboxes[1].put(0, b"x" * 10, Receipt(1, 2))
     reader.join()
 
 
@@ -225,7 +242,7 @@ def test_what_came_is_filtered_in_parts_with_both_sensors_in_step(monkeypatch):
     group, seconds, found = Group.begun(plan()), range(60), []
     for number, (topic, payload) in enumerate(message for second in seconds for message in messages(second)):
         inbox, place = group.topics[topic]
-        inbox.put(place, payload, (1, number + 1))
+        inbox.put(place, payload, Receipt(1, number + 1))
     while (given := group.second((BEGIN_S + 61) * NANOSECONDS)).receipts:
         found.append(given.rows)
     assert len(found) > 10
@@ -241,8 +258,8 @@ def test_blocks_that_come_late_are_counted_once_a_minute():
 
 def test_messages_are_not_acknowledged_while_the_store_is_away_as_long_as_the_broker_holds_them(monkeypatch):
     groups = Groups(lambda batch: None, print)
-    groups._receipts = [(1, number) for number in range(50_003)]
-    assert groups.receipts(kept=False) == [(1, 0), (1, 1), (1, 2)]
+    groups._receipts = [Receipt(1, number) for number in range(50_003)]
+    assert groups.receipts(kept=False) == [Receipt(1, number) for number in range(3)]
     assert groups.receipts(kept=False) == []
     assert len(groups.receipts(kept=True)) == 50_000
 
@@ -286,6 +303,14 @@ def test_numbers_of_a_shard_are_those_of_the_group():
     assert rows.point.tolist() == [2, 6, 10]
 
 
+def published(standings, most):
+    """The points whose standing is published now."""
+    points = standings.changed(most)
+    for point in points:
+        standings.is_published(point)
+    return points
+
+
 def test_how_points_stand():
     standings = Standings(5)
     both = np.arange(4, dtype=np.uint32)
@@ -296,8 +321,8 @@ def test_how_points_stand():
     standings.given(rows_of([0, 1, 2], [0, 0, 0], [1, 1, 1], [0, 2, 1], np.zeros(3)), 1.0)
     standings.look(2.0)
     assert standings.why.tolist() == [0, LOST, 0, OPENING, STARTING]
-    assert standings.changed(10) == [0, 1, 2, 3, 4]
-    assert standings.changed(10) == []
+    assert published(standings, 10) == [0, 1, 2, 3, 4]
+    assert published(standings, 10) == []
     # One sensor of point 0 stops; point 2 gives no rows any more.
     for now_s in range(2, 10):
         standings.heard(0, both, float(now_s))
@@ -306,9 +331,53 @@ def test_how_points_stand():
     standings.look(9.5)
     assert standings.why.tolist() == [SILENT, 0, NO_ROWS, OPENING, STARTING]
     assert standings.status[2] == PointStatus.LOST
-    assert standings.changed(2) == [0, 1]
-    assert standings.changed(2) == [2]
+    assert published(standings, 2) == [0, 1]
+    assert published(standings, 2) == [2]
+    standings.forget_published()
+    assert published(standings, 10) == [0, 1, 2, 3, 4]
     assert standings.tree(2, "north-2")["reason"] == "no_rows"
+
+
+def stands(standings, arrivals_s, now_s):
+    """Why a point gives nothing some seconds after blocks of both sensors, each with rows."""
+    for arrival_s in arrivals_s:
+        # Two messages of each sensor at once.
+        for sensor in (0, 1, 0, 1):
+            standings.heard(sensor, np.zeros(1, dtype=np.uint32), float(arrival_s))
+        standings.given(rows_of([0], [0], [1], [0], np.zeros(1)), float(arrival_s))
+        standings.look(float(arrival_s))
+        assert standings.why.tolist() == [0]
+    standings.look(now_s)
+    return int(standings.why[0])
+
+
+@pytest.mark.parametrize("interval_s", [0.2, 1.0, 10.0, 60.0])
+def test_a_sensor_is_silent_after_three_of_its_intervals(interval_s):
+    """From its second block on: the first interval is the usual one."""
+    for blocks in (2, 3, 40):
+        arrivals_s = interval_s * np.arange(blocks)
+        fresh_s = max(5.0, 3.0 * interval_s)
+        assert stands(Standings(1), arrivals_s, arrivals_s[-1] + 0.99 * fresh_s) == 0
+        assert stands(Standings(1), arrivals_s, arrivals_s[-1] + 1.01 * fresh_s) == SILENT
+
+
+def test_an_outage_is_no_usual_interval():
+    standings = Standings(1)
+    assert stands(standings, range(20), 25.0) == SILENT
+    # An hour later it comes again for five seconds, and stops: of the hour as much counts as is still fresh.
+    assert stands(standings, range(3619, 3624), 3623.0 + 5.1) == SILENT
+
+
+def test_rows_of_long_blocks_are_awaited_as_long_as_their_blocks():
+    standings = Standings(1)
+    assert stands(standings, [0.0, 10.0, 20.0], 30.0) == 0
+    # Blocks go on, rows do not.
+    for now_s in (30.0, 40.0, 50.0, 60.0):
+        for sensor in (0, 1):
+            standings.heard(sensor, np.zeros(1, dtype=np.uint32), now_s)
+    standings.look(60.0)
+    assert standings.why.tolist() == [NO_ROWS]
+    assert standings.status.tolist() == [PointStatus.LOST]
 
 
 def test_many_events_at_once_are_counted():
@@ -336,7 +405,7 @@ def test_rows_and_state_are_kept_together_and_come_back(tmp_path):
         for second in range(5):
             for topic, payload in messages(second):
                 inbox, place = groups.inboxes[topic]
-                inbox.put(place, payload, (1, 1))
+                inbox.put(place, payload, Receipt(1, 1))
             groups.second((BEGIN_S + second + 1) * NANOSECONDS, None)
         assert len(groups.receipts(kept=True)) == 5 * 2 * POINTS
         for batch in kept[:4]:
@@ -349,7 +418,7 @@ def test_rows_and_state_are_kept_together_and_come_back(tmp_path):
         for second in (3, 4):
             for topic, payload in messages(second):
                 inbox, place = groups.inboxes[topic]
-                inbox.put(place, payload, (1, 1))
+                inbox.put(place, payload, Receipt(1, 1))
         groups.second((BEGIN_S + 5) * NANOSECONDS, None)
         for batch in again:
             store.write(batch)
@@ -372,6 +441,12 @@ def test_the_page_s_server_asks_for_all_points_at_once():
     (state,) = groups.state()
     assert state["reasons"] == {"starting": POINTS}
     assert [one["point"] for one in state["points"]] == [f"north-{k}" for k in range(POINTS)]
+    # Of points without rows nothing is NaN, which JSON does not have.
+    table = GroupTable("north", range(POINTS), head["reasons"], newest, np.frombuffer(body[-POINTS:], dtype=np.uint8))
+    shown = table.state(3, float(BEGIN_S), "")
+    assert (shown["displacement_mm"], shown["displacement_std_mm"], shown["time"], shown["age_s"]) == (None,) * 4
+    for tree in (state, head, shown):
+        json.dumps(tree, allow_nan=False)
 
 
 def test_a_state_that_cannot_be_used_begins_anew(tmp_path):
@@ -381,7 +456,7 @@ def test_a_state_that_cannot_be_used_begins_anew(tmp_path):
         groups.begin([plan()], store)
         for topic, payload in messages(0):
             inbox, place = groups.inboxes[topic]
-            inbox.put(place, payload, (1, 1))
+            inbox.put(place, payload, Receipt(1, 1))
         groups.second((BEGIN_S + 1) * NANOSECONDS, None)
         (chunk,) = kept[-1].groups
         store.write(Batch(groups=[replace(chunk, checkpoint=(chunk.checkpoint[0], b"of another version"))]))

@@ -1,5 +1,6 @@
 """What is published: blocks whose stamps are those of the rows, whatever is missing between them."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -14,7 +15,7 @@ from midspan.engine import stream
 from midspan.errors import UsageError
 from midspan.fusion.blocks import EVENT_KINDS
 from midspan.records import NANOSECONDS
-from midspan.service.mqtt import Broker, even_parts, result_payload
+from midspan.service.mqtt import Broker, even_parts, result_payload, summary
 from midspan.settings.site import MqttSettings
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, RESULT, parse
 from midspan.store.chunk import Chunk
@@ -42,6 +43,22 @@ def test_a_single_row_is_a_block():
     rows = Chunk("p", "rows", np.array([BEGIN_NS]), {"displacement_m": np.zeros(1), "std_m": np.ones(1)}, 1)
     (part,) = even_parts(rows)
     assert parse(result_payload(part, 0), RESULT).time_ns.tolist() == [BEGIN_NS]
+
+
+def strict(text):
+    """JSON without the constants that it does not have."""
+
+    def refuse(name):
+        raise ValueError(name)
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_a_summary_of_rows_that_are_not_finite_is_json():
+    columns = {"displacement_m": np.array([1e-3, 2e-3]), "std_m": np.array([np.inf, np.nan])}
+    found = strict(summary(Chunk("p", "rows", np.array([BEGIN_NS, BEGIN_NS + 10**7]), columns, 1), "coasting"))
+    assert (found["std_mm"], found["rows"], found["unit"]) == (None, 2, "mm")
+    assert found["mean_mm"] == pytest.approx(1.5)
 
 
 def test_what_waits_to_be_kept_does_not_hold_back_what_comes(broker):

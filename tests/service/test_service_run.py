@@ -325,7 +325,7 @@ def test_every_command_is_answered_at_once(tmp_path):
     answers, acknowledged = [], []
 
     class Recorder:
-        def publish(self, topic, payload, *, qos):
+        def publish(self, topic, payload):
             answers.append((topic, json.loads(payload)["kind"], json.loads(payload)["text"]))
 
     service._broker = Recorder()

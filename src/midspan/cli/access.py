@@ -49,17 +49,21 @@ def command(store: str, action: str, name: str | None, scope: str | None, quiet:
     console.document(_done(access, console, action, name, scope))
 
 
-def announce_admin(where: str, console: Console) -> None:
-    """Make the user `admin` of a store that nobody has access to yet, and print its password, this once."""
+def announce_admin(where: str, console: Console, shard: str | None = None) -> None:
+    """Make the user `admin` of a store that nobody has access to yet, and print its password, this once. shard: K/N
+    where the store is that of one of several, which have users of their own.
+    """
     from midspan.serve.access import Access, made_admin
     from midspan.service.places import place_of
 
     password = None if console.quiet else made_admin(Access(place_of(where)))
     if password is None:
         return
-    console.say(f"admin: password: {password} (user admin; shown only once)")
+    of_shard = {} if shard is None else {"shard": shard}
+    who = "" if shard is None else f"shard {shard}: "
+    console.say(f"{who}admin: password: {password} (user admin; shown only once)")
     if console.as_json:
-        click.echo(json.dumps({"name": "admin", "scope": "admin", "password": password}), err=True)
+        click.echo(json.dumps({"name": "admin", "scope": "admin", "password": password, **of_shard}), err=True)
 
 
 def _done(access: Any, console: Console, action: str, name: str, scope: str | None) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from midspan.cli.console import Console, common_options
 
 if TYPE_CHECKING:
     from midspan.scale.fleet import Shards
-    from midspan.scale.fleet_status import ShardReport
     from midspan.settings.site import Site
 
 
@@ -31,6 +30,7 @@ def command(
     from dataclasses import asdict
 
     from midspan.scale.fleet import driver_lock, read_fleet
+    from midspan.scale.fleet_status import shard_reports
     from midspan.settings.shard import shard_of, usual_shards
     from midspan.settings.site import Shard, load_site
 
@@ -39,7 +39,7 @@ def command(
     running = read_fleet(whole.file)
     if status:
         shards = count or (usual_shards(whole) if running is None else running.count)
-        reports = _reports(whole, shards)
+        reports = shard_reports(whole, shards, running)
         for one in reports:
             state = "ready" if one.ready else "not ready"
             again = "" if not one.restarts else f", restarts: {one.restarts}"
@@ -55,25 +55,6 @@ def command(
         lock.close()
     console.document(last)
     return 0
-
-
-def _reports(whole: "Site", count: int) -> "list[ShardReport]":
-    """How all shards stand."""
-    from midspan.scale.fleet import read_fleet
-    from midspan.scale.fleet_status import ShardReport, asked
-    from midspan.settings.shard import shard_of
-    from midspan.settings.site import Shard
-
-    running = read_fleet(whole.file)
-    known = {} if running is None else {one.shard: one for one in running.shards}
-    reports = []
-    for number in range(1, count + 1):
-        service = shard_of(whole, Shard(number, count)).settings.service
-        ready, text = asked(service.listen, tls=service.tls_cert is not None)
-        of = known.get(number)
-        counted = (None, None) if of is None else (of.restarts, of.pid)
-        reports.append(ShardReport(number, service.listen, ready, text, *counted))
-    return reports
 
 
 def _run(whole: "Site", count: int, runner: str, for_s: float | None, console: Console) -> dict[str, object]:

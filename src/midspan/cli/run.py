@@ -44,7 +44,7 @@ def command(site: str, for_s: float | None, serve: bool, shard: str | None, quie
 
     async def main() -> dict[str, object]:
         supervisor = Supervisor(
-            settings, say, note, serve=serve, announce=lambda: announce_admin(settings.where, console)
+            settings, say, note, serve=serve, announce=lambda: announce_admin(settings.where, console, shard)
         )
         stop_by_signals(asyncio.get_running_loop(), supervisor.stop)
         return await supervisor.run(for_s)

@@ -22,8 +22,8 @@ LOOK_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class ShardState:
-    """How a shard stands: shard, from 1; pid of its process, None while there is none; restarts; host that it is on;
-    text of what last ended it.
+    """How a shard stands: shard, from 1; pid of its process, None while there is none; restarts; host that it is on,
+    empty for this machine; text of what last ended it; address of the host in its network.
     """
 
     shard: int
@@ -31,6 +31,7 @@ class ShardState:
     restarts: int = 0
     host: str = ""
     text: str = ""
+    address: str = ""
 
 
 class Shards(Protocol):

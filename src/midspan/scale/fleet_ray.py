@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from midspan.scale.fleet import LOOK_S, ShardState
@@ -39,9 +40,11 @@ class ShardActor:
 
     def state(self) -> dict[str, Any]:
         """How it stands; life: another one in each process."""
+        from ray.util import get_node_ip_address
+
         return {
             "life": self._life, "pid": os.getpid(), "restarts": self._restarts, "host": socket.gethostname(),
-            "text": self._text,
+            "text": self._text, "address": str(get_node_ip_address()),
         }  # fmt: skip
 
     def stop(self) -> None:
@@ -134,12 +137,12 @@ class RayShards:
         lives.add(found["life"])
         restarts = len(lives) - 1 + found["restarts"]
         text = found["text"] or self._known[number].text
-        self._known[number] = ShardState(number, found["pid"], restarts, found["host"], text)
+        self._known[number] = ShardState(number, found["pid"], restarts, found["host"], text, found["address"])
 
     def _no_answer(self, number: int, why: str) -> None:
         self._asked.pop(number, None)
         before = self._known[number]
-        self._known[number] = ShardState(number, None, before.restarts, before.host, f"{why}.")
+        self._known[number] = replace(before, pid=None, text=f"{why}.")
 
     def _found(self, number: int) -> Any:
         """The actor of a shard; None where there is none."""

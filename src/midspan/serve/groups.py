@@ -72,20 +72,20 @@ class GroupTables:
         """The points of all groups."""
         return [member_name(name, number) for name, numbers in self._numbers() for number in numbers]
 
-    def place(self, point: str) -> tuple[str, int] | None:
-        """The group of a point, and its place there; None for what is no point of a group."""
+    def number(self, point: str) -> tuple[str, int] | None:
+        """The group of a point, and its number there; None for what is no point of a group."""
         group, number = member_of(point) or ("", 0)
-        numbers = dict(self._numbers()).get(group, range(0))
-        return (group, numbers.index(number)) if number in numbers else None
+        return (group, number) if number in dict(self._numbers()).get(group, range(0)) else None
 
     async def table(self, group: str) -> GroupTable | None:
         """How the points of a group stand; None where no engine says so."""
         then_s, kept = self._tables.get(group, (-TABLE_S, None))
         if kept is not None and (self._link.reason or time.monotonic() - then_s < TABLE_S):
             return kept
-        numbers = dict(self._numbers()).get(group, range(0))
         with suppress(MidspanError):
             head, body = await self._link.ask("group", group=group)
+            # As they are with this answer: the settings may have changed meanwhile.
+            numbers = range(*head["numbers"])
             newest = np.frombuffer(body, dtype=ROW, count=len(numbers))
             why = np.frombuffer(body, dtype=np.uint8, offset=newest.nbytes)
             table = GroupTable(group, numbers, [str(one) for one in head["reasons"]], newest, why)
@@ -95,9 +95,13 @@ class GroupTables:
 
     async def state(self, point: str) -> Tree | None:
         """A point of a group as `PointState` has it; None for another one, and where no engine says so."""
-        found = self.place(point)
-        table = None if found is None else await self.table(found[0])
-        return None if table is None or found is None else table.state(found[1], time.time(), self._link.reason)
+        if (found := self.number(point)) is None:
+            return None
+        group, number = found
+        table = await self.table(group)
+        if table is None or number not in table.numbers:
+            return None
+        return table.state(table.numbers.index(number), time.time(), self._link.reason)
 
     async def states(self, most: int | None) -> list[Tree]:
         """The points of all groups, of each this many at most: first those with a reason."""

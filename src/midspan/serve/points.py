@@ -21,6 +21,7 @@ from midspan.serve.problems import Problem, declared
 from midspan.serve.serving import Serving, Shared
 from midspan.service.live_socket import Tree
 from midspan.service.places import place_of
+from midspan.service.reasons import NOT_CALIBRATED
 
 # What a file of rows may take, s, and how many are made at a time.
 EXPORT_S = 900.0
@@ -266,6 +267,8 @@ def refusals(folder: Path, point: str, numbers: Sequence[int]) -> dict[int, Tree
 async def calibrate(name: str, serving: Shared) -> Done:
     """Calibrate a point again; its rows go on meanwhile."""
     await serving.require_point(name)
+    if serving.groups.number(name) is not None:
+        raise Problem(409, f"{name}: {NOT_CALIBRATED}")
     answer, _ = await serving.link.ask("calibrate", point=name)
     return Done(text=str(answer["text"]))
 

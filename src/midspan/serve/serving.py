@@ -198,7 +198,7 @@ class Serving:
 
     async def require_point(self, name: str) -> None:
         """Raises Problem for a name that is no point's."""
-        if self.groups.place(name) is not None or name in await self.points():
+        if self.groups.number(name) is not None or name in await self.points():
             return
         if await self.quick.run(reading.has_point, self.where, name):
             return
@@ -228,7 +228,7 @@ class Serving:
         """Let rows of points of groups come that viewers name."""
         if not self.live.viewers or self.link.reason:
             return
-        if points := frozenset(one for one in self.live.named | self.groups.looked if self.groups.place(one)):
+        if points := frozenset(one for one in self.live.named | self.groups.looked if self.groups.number(one)):
             await self.groups.watch(points)
 
     def since_ns(self, name: str) -> int | None:

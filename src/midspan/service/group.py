@@ -12,6 +12,7 @@ from midspan.engine.bank import Bank, BankBlocks, BankCode, BankSensor, BankSett
 from midspan.records import NANOSECONDS, Event, GroupRows
 from midspan.service.group_messages import OF_ALL, PointBlocks, Refusals, not_ahead, of_all, of_points
 from midspan.service.group_results import Standings
+from midspan.service.packets import Receipt
 from midspan.settings.group import NUMBER, GroupPlan, topic_of
 from midspan.sources.live.blocks import MAX_BYTES
 from midspan.sources.live.instants import SourceFault
@@ -49,7 +50,7 @@ class Message(NamedTuple):
     sensor: int
     place: int
     payload: bytes
-    receipt: tuple[int, int]
+    receipt: Receipt
 
 
 class Waiting:
@@ -97,7 +98,7 @@ class Inbox:
     kind: int
     shared: bool
 
-    def put(self, place: int, payload: bytes, receipt: tuple[int, int]) -> bool:
+    def put(self, place: int, payload: bytes, receipt: Receipt) -> bool:
         """See `Waiting.put`."""
         return self.waiting.put(Message(self.sensor, place, payload, receipt))
 
@@ -109,12 +110,14 @@ class GroupSecond:
     rows: GroupRows
     events: list[tuple[str, Event]]
     state: bytes
-    receipts: list[tuple[int, int]]
+    receipts: list[Receipt]
 
 
 @dataclass(slots=True)
 class Group:
-    """plan: of the group; bank: its filter; kept_ns: when that had ended before a restart. Times are arguments."""
+    """plan: of the group; bank: its filter; kept_ns: up to when the broker brings again what was not acknowledged
+    before a restart, or before another connection. Times are arguments.
+    """
 
     plan: GroupPlan
     bank: Bank
@@ -127,6 +130,8 @@ class Group:
     faults: int = 0
     _refused: Refusals = field(default_factory=Refusals)
     _reported_s: float = -TELL_AGAIN_S
+    # That the newest message came by, None before the first.
+    _connection: int | None = None
 
     def __post_init__(self) -> None:
         settings = self.plan.settings
@@ -180,6 +185,7 @@ class Group:
         rows = joined([self._filtered(part) for part in _slices(came)])
         self.standings.given(rows, now_ns / NANOSECONDS)
         self.standings.look(now_ns / NANOSECONDS)
+        self._look_at_connection(taken)
         events = [*self._events(), *self._reports(now_ns)]
         return GroupSecond(rows, events, self.bank.state(), [one.receipt for one in taken])
 
@@ -208,11 +214,16 @@ class Group:
         usable = (not_ahead(one, now_ns, self._refused) for one in found)
         return [one for one in usable if one is not None]
 
+    def _look_at_connection(self, taken: Sequence[Message]) -> None:
+        connection = taken[-1].receipt.connection if taken else self._connection
+        if self._connection not in (None, connection):
+            self.kept_ns = self.until_ns
+        self._connection = connection
+
     def _events(self) -> list[tuple[str, Event]]:
         found = []
         for place, time_ns, code in self.bank.events():
             if code is BankCode.LATE and time_ns <= self.kept_ns:
-                # The broker brings again what was not acknowledged before a restart.
                 continue
             kind, text = EVENTS[code]
             if code in REPEATED:

@@ -135,13 +135,16 @@ def of_all(kind: int, points: int, numbers: range, payload: bytes) -> PointBlock
     values. Raises SourceFault for anything else.
     """
     size = HEAD.size + 4
+    as_documented = f"messages of all points are binary and of kind {kind}; a topic with {{i}} is that of one point"
+    if payload[:1] and payload[0] in TEXT:
+        raise SourceFault("payload", f"a block must be as documented; received JSON where {as_documented}")
     if len(payload) < size:
         raise SourceFault("payload", f"a block must be as documented; received {len(payload)} bytes, fewer than a head")
     version, of_kind, _, _, t0_ns, dt_ns, count = HEAD.unpack_from(payload)
     in_it = int.from_bytes(payload[HEAD.size : size], "little")
     rules = (
         (version == VERSION, f"version {version}; this program reads version {VERSION}"),
-        (of_kind == kind, f"kind {of_kind} where {kind} is expected"),
+        (of_kind == kind, f"kind {of_kind} where {kind} is expected: {as_documented}"),
         (in_it == points, f"{in_it} points; the group has {points}"),
         (len(payload) == size + 4 * points * count, f"{len(payload)} bytes for {points} points and {count} values"),
         (FIRST_NS <= t0_ns <= LAST_NS, f"a first stamp of {t0_ns} ns, outside the years 2000 to 2200 (UTC)"),

@@ -18,6 +18,8 @@ from midspan.sources.live.blocks import RESULT, VERSION
 FRESH_S, FRESH_INTERVALS = 5.0, 3.0
 # The usual interval is averaged over about this many arrivals.
 AVERAGED = 8.0
+# Of neither a reason nor a status.
+UNPUBLISHED = 255
 # Why a point gives no rows that can be relied on, as codes of the documentation's table.
 WHY = ("", "starting", "opening", "silent", "no_rows", "lost")
 FINE, STARTING, OPENING, SILENT, NO_ROWS, LOST = range(len(WHY))
@@ -66,10 +68,16 @@ def result_blocks(rows: GroupRows, sequence: NDArray[np.uint32]) -> Iterator[tup
     yield from zip(rows.point.tolist(), bodies, strict=True)
 
 
+def _fresh_s(interval_s: Floats) -> Floats:
+    """For how long a block is fresh, by the usual interval of its sensor, NaN where that is not known."""
+    return np.fmax(FRESH_S, FRESH_INTERVALS * interval_s)
+
+
 @dataclass(slots=True)
 class Standings:
     """How the points (n,) of a group stand: when each sensor was heard (accelerations, displacements; s, NaN before)
-    and its usual interval (s), the newest row, when that came (s), and what was published of it.
+    and its usual interval (s, NaN before the second block), the newest row, when that came (s), and what was published
+    of it.
     """
 
     count: int
@@ -82,21 +90,23 @@ class Standings:
     published: NDArray[np.uint8] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.heard_s, self.interval_s = np.full((2, self.count), np.nan), np.zeros((2, self.count))
+        self.heard_s, self.interval_s = np.full((2, self.count), np.nan), np.full((2, self.count), np.nan)
         self.row_s, self.newest = np.full(self.count, np.nan), np.zeros(self.count, dtype=ROW)
         self.newest["status"] = PointStatus.WARMING
         self.newest["displacement_mm"] = self.newest["displacement_std_mm"] = np.nan
         self.why = np.full(self.count, STARTING, dtype=np.uint8)
         self.status = self.newest["status"].copy()
-        # Of neither a reason nor a status.
-        self.published = np.full((2, self.count), 255, dtype=np.uint8)
+        self.published = np.full((2, self.count), UNPUBLISHED, dtype=np.uint8)
 
     def heard(self, sensor: int, points: NDArray[np.uint32], now_s: float) -> None:
         """Blocks of points came."""
         own = np.unique(points)
-        before = self.heard_s[sensor, own]
-        passed = np.where(np.isnan(before), 0.0, now_s - before)
-        self.interval_s[sensor, own] += (passed - self.interval_s[sensor, own]) / AVERAGED
+        usual_s, passed_s = self.interval_s[sensor, own], now_s - self.heard_s[sensor, own]
+        # The first interval is the usual one; an outage counts as much as is still fresh.
+        mean_s = usual_s + (np.minimum(passed_s, _fresh_s(usual_s)) - usual_s) / AVERAGED
+        mean_s = np.where(np.isnan(usual_s), passed_s, mean_s)
+        # Blocks that are read at once are one arrival.
+        self.interval_s[sensor, own] = np.where(passed_s > 0.0, mean_s, usual_s)
         self.heard_s[sensor, own] = now_s
 
     def given(self, rows: GroupRows, now_s: float) -> None:
@@ -112,10 +122,11 @@ class Standings:
 
     def look(self, now_s: float) -> None:
         """Judge each point as of now."""
-        fresh_s = np.maximum(FRESH_S, FRESH_INTERVALS * self.interval_s)
+        fresh_s = _fresh_s(self.interval_s)
         silent = (now_s - self.heard_s > fresh_s).any(axis=0)
         unheard, rowless = np.isnan(self.heard_s).any(axis=0), np.isnan(self.row_s)
-        no_rows = now_s - self.row_s > FRESH_S
+        # Rows need both sensors.
+        no_rows = now_s - self.row_s > fresh_s.max(axis=0)
         lost = self.newest["status"] == PointStatus.LOST
         cases = [silent, unheard & rowless, rowless, no_rows, lost]
         self.why = np.select(cases, [SILENT, STARTING, OPENING, NO_ROWS, LOST], FINE).astype(np.uint8)
@@ -123,11 +134,18 @@ class Standings:
         self.status = np.where(no_rows, np.uint8(PointStatus.LOST), self.newest["status"])
 
     def changed(self, most: int) -> list[int]:
-        """Up to this many points that stand otherwise than when this last gave them."""
+        """Up to this many points that stand otherwise than was published of them."""
         now = np.stack((self.why, self.status))
-        points = np.flatnonzero((now != self.published).any(axis=0))[:most]
-        self.published[:, points] = now[:, points]
-        return [int(one) for one in points]
+        points: list[int] = np.flatnonzero((now != self.published).any(axis=0))[:most].tolist()
+        return points
+
+    def is_published(self, point: int) -> None:
+        """How a point stands is published."""
+        self.published[:, point] = self.why[point], self.status[point]
+
+    def forget_published(self) -> None:
+        """Whatever was published of the points is no longer there."""
+        self.published[:] = UNPUBLISHED
 
     def tree(self, point: int, name: str) -> dict[str, object]:
         """How a point stands, as the topic `state` has it."""

@@ -16,6 +16,7 @@ from midspan.service.group import Group, GroupSecond, Inbox, numbered
 from midspan.service.group_results import WHY, joined_runs, result_blocks, state_payload
 from midspan.service.live_socket import ROW, Tree
 from midspan.service.mqtt import Broker
+from midspan.service.packets import Receipt
 from midspan.service.reasons import sentence
 from midspan.settings.group import GroupPlan
 from midspan.settings.site import Site
@@ -49,7 +50,9 @@ class Groups:
         self._put, self._say, self._in_use = put, say, threading.Lock()
         self._groups: dict[str, Group] = {}
         self._sequences: dict[str, Any] = {}
-        self._receipts: list[tuple[int, int]] = []
+        self._receipts: list[Receipt] = []
+        # The broker's connection by which states were retained last.
+        self._connection = 0
         self._watched: dict[str, float] = {}
 
     def begin(self, plans: Sequence[GroupPlan], store: Store) -> None:
@@ -97,6 +100,11 @@ class Groups:
 
     def _second(self, now_ns: int, broker: Broker | None) -> Given:
         given = Given()
+        if broker is not None and broker.connection != self._connection:
+            # What an earlier connection was to retain may be lost.
+            self._connection = broker.connection
+            for one in self._groups.values():
+                one.standings.forget_published()
         for one in list(self._groups.values()):
             second = one.second(now_ns)
             events = fewer(one.plan.name, second.events)
@@ -105,12 +113,11 @@ class Groups:
             given.events.extend(events)
             given.frames.extend(self._frames(one, second.rows))
             if broker is not None and broker.connected:
-                broker.publish_all(self._results(one, second.rows))
-                for topic, payload in self._states(one):
-                    broker.publish(topic, payload, qos=1, retain=True)
+                broker.publish_results(self._results(one, second.rows))
+                self._retain_states(one, broker)
         return given
 
-    def receipts(self, *, kept: bool) -> list[tuple[int, int]]:
+    def receipts(self, *, kept: bool) -> list[Receipt]:
         """What may be acknowledged; kept: whether all that was handed over is. Of what is not kept, the broker holds
         as much as it may: then it is asked for more.
         """
@@ -123,10 +130,14 @@ class Groups:
         sequence = self._sequences[one.plan.name]
         return [(f"{one.name(place)}/displacement", body) for place, body in result_blocks(joined_runs(rows), sequence)]
 
-    def _states(self, one: Group) -> list[tuple[str, str]]:
-        standings = one.standings
-        changed = [(place, one.name(place)) for place in standings.changed(MAX_STATES)]
-        return [(f"{name}/state", state_payload(standings.tree(place, name))) for place, name in changed]
+    def _retain_states(self, one: Group, broker: Broker) -> None:
+        """Retain how points stand that stand otherwise than what is retained, some of them a second."""
+        for place in one.standings.changed(MAX_STATES):
+            name = one.name(place)
+            if not broker.publish(f"{name}/state", state_payload(one.standings.tree(place, name)), retain=True):
+                # The others follow the next time.
+                return
+            one.standings.is_published(place)
 
     # For the page
 
@@ -153,10 +164,11 @@ class Groups:
         one = self._groups.get(str(head.get("group")))
         if one is None:
             raise MidspanError(f"{head.get('group')}: is not a group of this site.")
-        standings = one.standings
+        standings, numbers = one.standings, one.plan.numbers
         newest = standings.newest.copy()
         newest["status"] = standings.status
-        return {"reasons": list(WHY)}, newest.tobytes() + standings.why.tobytes()
+        head = {"reasons": list(WHY), "numbers": [numbers.start, numbers.stop, numbers.step]}
+        return head, newest.tobytes() + standings.why.tobytes()
 
     def state(self) -> list[Tree]:
         """How the groups stand: counts, and those points that are named."""

@@ -1,6 +1,8 @@
 """The broker: blocks of the sensors in, results, events and states out."""
 
+import itertools
 import json
+import math
 import re
 import secrets
 import ssl
@@ -16,7 +18,7 @@ import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Event
-from midspan.service.packets import acknowledgements, parts, publication
+from midspan.service.packets import Outgoing, Receipt, acknowledgements, publication
 from midspan.service.whole_site import WholeSite
 from midspan.settings.site import MqttSettings, Shard
 from midspan.sources.live.blocks import MAX_BYTES, RESULT, Block, pack
@@ -28,6 +30,7 @@ KEEP_ALIVE_S = 15
 AGAIN_S, REFUSED_S = 1, 30
 # What the broker keeps for us while we are away, s.
 SESSION_S = 3600
+# Messages that wait for the broker at most; that the site is there is said besides.
 MAX_QUEUED = 10_000
 # Messages that the broker may have on their way to us: all that MQTT allows. They are acknowledged once a second, and
 # with a broker's own limit (Mosquitto's is 20) no more than that would come in a second.
@@ -37,6 +40,9 @@ MAX_SUBSCRIBED = 1000
 # The pause before the next attempt where another service with our name ended the connection, s: doubled each time, so
 # that the two do not end each other once a second.
 NAME_TAKEN_S, MAX_NAME_TAKEN_S = 30, 960
+# How many results were dropped is said so often, s.
+TELL_AGAIN_S = 60.0
+CONNECTIONS = itertools.count(1)
 
 
 def tls_context(settings: MqttSettings, folder: Path) -> ssl.SSLContext | None:
@@ -62,7 +68,7 @@ def tls_context(settings: MqttSettings, folder: Path) -> ssl.SSLContext | None:
 class Bulk(Protocol):
     """Where messages of topics go that are read together; called from the broker's thread."""
 
-    def put(self, place: int, payload: bytes, receipt: tuple[int, int]) -> bool:
+    def put(self, place: int, payload: bytes, receipt: Receipt) -> bool:
         """Queue a message; receipt: what it is acknowledged with later. Whether there was room: it is lost if not."""
 
 
@@ -105,7 +111,7 @@ class Broker:
         if shard is not None and shard.number == 1:
             self._whole = WholeSite(_client(settings, f"{name}-site", folder), self.root, shard.count)
         client.will_set(self._available, "offline", qos=1, retain=True)
-        client.max_queued_messages_set(MAX_QUEUED)
+        client.max_queued_messages_set(0)
         client.reconnect_delay_set(AGAIN_S, AGAIN_S)
         client.on_connect, client.on_disconnect, client.on_message = self._met, self._left, self._came
         client.on_connect_fail = self._not_met
@@ -116,7 +122,11 @@ class Broker:
         # Which process holds the site's name is a retained message: brokers do not say who ended a connection.
         self._own, self._holder = secrets.token_hex(8).encode(), f"{place}/service"
         self._connections, self._connected_s, self._pause_s = 0, 0.0, NAME_TAKEN_S
-        self._client = client
+        # Another number for each connection of all brokers of the process, 0 before the first.
+        self.connection = 0
+        self._client, self._outgoing = client, Outgoing(client)
+        # Results that were dropped, up to the last time that this was said, s.
+        self._dropped, self._dropped_s = 0, -math.inf
 
     @property
     def reason(self) -> str:
@@ -190,35 +200,49 @@ class Broker:
         self._client.disconnect()
         self._client.loop_stop()
 
-    def publish(self, topic: str, payload: bytes | str, *, qos: int = 0, retain: bool = False) -> None:
-        """Send below the site's topic; without a broker only what has to arrive waits."""
+    def publish(self, topic: str, payload: bytes | str, *, retain: bool = False) -> bool:
+        """Send below the site's topic what has to arrive; whether it will. Without a broker it waits, but for what is
+        retained, which who connects again sends anew.
+        """
+        if self._is_full or (retain and not self.connected):
+            return False
         if retain:
             self._cleared.discard(f"{self.root}/{topic}")
-        if self.connected or qos:
-            self._client.publish(f"{self.root}/{topic}", payload, qos=qos, retain=retain)
+        self._client.publish(f"{self.root}/{topic}", payload, qos=1, retain=retain)
+        return True
 
-    def publish_all(self, messages: Iterable[tuple[str, bytes]]) -> None:
-        """Send messages below the site's topic, many in a packet; called in any thread. Without a broker none waits."""
+    @property
+    def _is_full(self) -> bool:
+        """Whether as many messages wait as may. The client's own bound would hold for `available` as well."""
+        return len(self._client._out_messages) >= MAX_QUEUED
+
+    def publish_results(self, messages: Iterable[tuple[str, bytes]]) -> None:
+        """Send messages below the site's topic that may be lost, many in a packet; called in any thread. Without a
+        broker none waits, for a slow one as many as `Outgoing` has.
+        """
         if self.connected:
-            self._send(publication(f"{self.root}/{topic}", payload) for topic, payload in messages)
+            self._outgoing.put(publication(f"{self.root}/{topic}", payload) for topic, payload in messages)
 
-    def acknowledge(self, receipts: Sequence[tuple[int, int]]) -> None:
+    def dropped_results(self, now_s: float) -> int:
+        """How many results were dropped since this last said so, which it does once a minute; 0 without any."""
+        dropped = self._outgoing.dropped - self._dropped
+        if not dropped or now_s - self._dropped_s < TELL_AGAIN_S:
+            return 0
+        self._dropped, self._dropped_s = self._dropped + dropped, now_s
+        return dropped
+
+    def acknowledge(self, receipts: Sequence[Receipt]) -> None:
         """Acknowledge messages of topics that are read together; those of an earlier connection come again."""
-        numbers = [number for connection, number in receipts if connection == self._connections and number]
+        numbers = [one.number for one in receipts if one.connection == self.connection and one.number]
         if self.connected and numbers:
-            self._send([acknowledgements(numbers)])
-
-    def _send(self, packets: Iterable[bytes]) -> None:
-        """Send packets as they are. The client has no name of its own for that: it takes any bytes as a packet."""
-        for part in parts(packets):
-            self._client._packet_queue(0, part, 0, 0)
+            self._client._packet_queue(0, acknowledgements(numbers), 0, 0)
 
     def deliver(self, topic: str, payload: bytes, *, retain: bool, wait_s: float) -> Any:
         """Send below the site's topic; what is returned says by `is_published()` whether the broker has it, for which
-        this waits so long. Raises OSError where the broker is away.
+        this waits so long. Raises OSError where the broker is away, or takes nothing.
         """
-        if not self.connected:
-            raise OSError("the broker is away")
+        if not self.connected or self._is_full:
+            raise OSError("the broker is away, or too many messages wait for it")
         sent = self._client.publish(f"{self.root}/{topic}", payload, qos=1, retain=retain)
         # Where the connection is lost, the client sends it again on its own.
         with suppress(RuntimeError, ValueError):
@@ -234,6 +258,8 @@ class Broker:
         client.reconnect_delay_set(AGAIN_S, AGAIN_S)
         self.connected, self._reason, self._connected_s = True, "", time.monotonic()
         self._connections += 1
+        self.connection = next(CONNECTIONS)
+        self._outgoing.open()
         self._subscribe([(self._holder, 1), *self._topics.items()])
         client.publish(self._holder, self._own, qos=1, retain=True)
         self._retain(self._announced)
@@ -248,11 +274,12 @@ class Broker:
         if (self.connected and self.reason != "name_taken") or self._reason == "starting":
             self._reason, self._pause_s = "broker_gone", NAME_TAKEN_S
         self.connected = False
+        self._outgoing.close()
 
     def _came(self, client: Any, _data: Any, message: Any) -> None:
         number, qos, topic = message.mid, message.qos, message.topic
         if (place := self._bulk.get(topic)) is not None:
-            if not place[0].put(place[1], message.payload, (self._connections, number if qos else 0)) and qos:
+            if not place[0].put(place[1], message.payload, Receipt(self.connection, number if qos else 0)) and qos:
                 client.ack(number, qos)
             return
         if topic == self._holder:
@@ -299,22 +326,19 @@ def result_payload(rows: Chunk, sequence: int) -> bytes:
 
 
 def summary(rows: Chunk, status: str) -> str:
-    """A second of rows in figures, as JSON."""
+    """A second of rows in figures, as JSON, which has null for what is not finite."""
     value = 1e3 * np.asarray(rows.columns["displacement_m"])
     std = 1e3 * np.asarray(rows.columns["std_m"], dtype=np.float64)
-    return json.dumps(
-        {
-            "time_s": int(rows.time_ns[-1]) / 1e9,
-            "rows": len(value),
-            "mean_mm": float(value.mean()),
-            "minimum_mm": float(value.min()),
-            "maximum_mm": float(value.max()),
-            "rms_mm": float(np.sqrt(np.mean(value**2))),
-            "std_mm": float(np.median(std)),
-            "status": status,
-            "unit": "mm",
-        }
-    )
+    figures = {
+        "mean_mm": float(value.mean()),
+        "minimum_mm": float(value.min()),
+        "maximum_mm": float(value.max()),
+        "rms_mm": float(np.sqrt(np.mean(value**2))),
+        "std_mm": float(np.median(std)),
+    }
+    finite = {name: figure if math.isfinite(figure) else None for name, figure in figures.items()}
+    time_s = int(rows.time_ns[-1]) / 1e9
+    return json.dumps({"time_s": time_s, "rows": len(value), **finite, "status": status, "unit": "mm"})
 
 
 def event_tree(event: Event) -> dict[str, Any]:

@@ -44,6 +44,10 @@ REASONS: dict[str, tuple[str, str]] = {
     "store_unavailable": ("the store cannot be written", "check disk or database; new data are buffered"),
     "store_full": ("the store's disk is full", "free disk space; new data are buffered"),
     "rows_dropped": ("the store was unavailable for too long, and rows were lost", "see the events for the time"),
+    "results_dropped": (
+        "the MQTT broker receives results too slowly, and the oldest were not published",
+        "check the network and the broker's load; the rows are in the store",
+    ),
     "capture_failed": (
         "the captured recording cannot be written",
         "free disk space, or set another folder (store.captures)",
@@ -70,6 +74,13 @@ REASONS: dict[str, tuple[str, str]] = {
     ),
     "lost": ("the sensor's target is lost", "check the image for an obstruction"),
 }
+
+
+# A command of a calibration on a point of a group.
+NOT_CALIBRATED = (
+    "is a point of a group, which has no calibration. Set the units and the noise of its sensors in [[group]], or make "
+    "it a [[point]], which calibrates itself."
+)
 
 
 def sentence(code: str) -> str:

@@ -38,7 +38,7 @@ from midspan.service.paused import Paused
 from midspan.service.places import place_of
 from midspan.service.point import Job, LivePoint
 from midspan.service.reasons import sentence
-from midspan.service.retention import archived
+from midspan.service.retention import sweeping
 from midspan.service.running import Running, drafted, line_of, sizes_of
 from midspan.service.topic_commands import TopicCommands
 from midspan.settings.kinds import ACCELEROMETER
@@ -49,8 +49,6 @@ from midspan.store.store import Batch, Store, open_store
 TICK_S, FIRST_S, WRITE_S, LOG_S = 0.05, 0.2, 1.0, 60.0
 # The first times that all is written follow one another after FIRST_S.
 FIRST = 5
-# Days are archived, and removed once they are too old, so often.
-SWEEP_S = 3600.0
 
 
 class Service:
@@ -83,11 +81,9 @@ class Service:
         # Whether all points are begun, and what comes is kept.
         self.begun = False
         self._acknowledge: deque[Callable[[], None]] = deque()
-        self._swept_s, self._dropped = 0.0, 0
+        self._dropped = 0
         # Why store and broker were away when that was last an event.
         self._away: dict[str, str] = {}
-        # Days before this may be removed, by the thread that writes.
-        self._old_ns: int | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         # One calibration at a time, and one opening, which waits for none: the engine needs the processor.
@@ -128,6 +124,7 @@ class Service:
         tasks: list[asyncio.Future[Any]] = [
             asyncio.create_task(self._every(TICK_S, self._tick)),
             asyncio.create_task(self._writing()),
+            asyncio.create_task(sweeping(lambda: self.site, self._keeper, self._say)),
             asyncio.create_task(self._every(LOG_S, self._log)),
             self._failing,
         ]
@@ -428,7 +425,7 @@ class Service:
         if self._socket is not None:
             self._socket.publish({"kind": "event", "point": point, "time_ns": event.time_ns, **event_tree(event)})
         if self._broker is not None:
-            self._broker.publish(f"{point}/event", json.dumps(event_tree(event)), qos=1)
+            self._broker.publish(f"{point}/event", json.dumps(event_tree(event)))
 
     # Out
 
@@ -455,15 +452,11 @@ class Service:
             self._show(await asyncio.to_thread(self._groups.second, time.time_ns(), self._broker))
             await asyncio.to_thread(self._keeper.write)
             notify("WATCHDOG=1")
-            if time.time() - self._swept_s > SWEEP_S:
-                self._swept_s = time.time()
-                self._begin(asyncio.to_thread(self._sweep))
-            if self._old_ns is not None:
-                await asyncio.to_thread(self._keeper.forget_before, self._old_ns)
-                self._old_ns = None
             if self._keeper.dropped > self._dropped:
                 self._dropped = self._keeper.dropped
                 self._event_of_all("rows_dropped", f"store: {sentence('rows_dropped')}")
+            if self._broker is not None and (count := self._broker.dropped_results(time.monotonic())):
+                self._event_of_all("results_dropped", f"mqtt: {count} messages: {sentence('results_dropped')}")
             # Store and broker that are away, or back, are an event of every point.
             for name, (reason, _) in self._shared().items():
                 if reason != self._away.get(name, "") and reason != "starting":
@@ -479,10 +472,6 @@ class Service:
                     self._broker.acknowledge(self._groups.receipts(kept=not self._keeper.waiting))
             else:
                 self._acknowledge.extendleft(reversed(done))
-
-    def _sweep(self) -> None:
-        """Archive the days that are over; then those that are too old may be removed."""
-        self._old_ns = archived(self.site, self._say) or self._old_ns
 
     def _collect(self, *, last: bool = False) -> list[Callable[[], None]]:
         """What every point has to keep, to the store and the broker; returns what is acknowledged once it is kept."""
@@ -511,9 +500,9 @@ class Service:
         if self._socket is not None:
             self._socket.publish({"kind": "rows", "point": one.name}, row_bytes(new))
         if self._broker is not None:
-            for part in even_parts(new):
-                self._broker.publish(f"{one.name}/displacement", result_payload(part, one.results))
-                one.results += 1
+            blocks = [result_payload(part, one.results + k) for k, part in enumerate(even_parts(new))]
+            one.results += len(blocks)
+            self._broker.publish_results((f"{one.name}/displacement", block) for block in blocks)
 
     def _show(self, given: Given) -> None:
         """What groups gave, to the log, the broker and viewers."""
@@ -537,9 +526,11 @@ class Service:
                 self._alarms.new_datum(one.name, event.time_ns)
         if self._broker is None:
             return
-        for rows in [chunk for chunk in batch.chunks if chunk.stream == ROWS]:
-            self._broker.publish(f"{one.name}/summary", summary(rows, one.live.status.name.lower()))
-        self._broker.publish(f"{one.name}/state", json.dumps(self._standing_of(one, time.time())), qos=1, retain=True)
+        topic, status = f"{one.name}/summary", one.live.status.name.lower()
+        self._broker.publish_results(
+            (topic, summary(rows, status).encode()) for rows in batch.chunks if rows.stream == ROWS
+        )
+        self._broker.publish(f"{one.name}/state", json.dumps(self._standing_of(one, time.time())), retain=True)
 
     def standing(self) -> dict[str, Any]:
         """As the log has it."""

@@ -350,7 +350,7 @@ class Running:
         health = self.live.row_health
         age_s = None if self._row_s is None or self._row_ns is None else round(now_s - self._row_s, 3)
         deviations = {"sigma_mm": health.std_m, "usual_sigma_mm": health.usual_m}
-        known = {name: None if math.isnan(value) else round(1e3 * value, 6) for name, value in deviations.items()}
+        known = {name: rounded(1e3 * value, 6) for name, value in deviations.items()}
         return {"rows_age_s": age_s, **known}
 
 

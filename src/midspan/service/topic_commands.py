@@ -6,6 +6,7 @@ from typing import Any
 
 from midspan.records import Event
 from midspan.service.calibrations import accepted
+from midspan.service.reasons import NOT_CALIBRATED
 from midspan.service.running import Running
 
 COMMANDS = ("calibrate", "accept")
@@ -43,8 +44,7 @@ class TopicCommands:
         """A command; of `accept` without a number the newest calibration that is offered is meant."""
         one = next((point for point in self._points if point.name == name), None)
         if one is None and self._is_grouped(name):
-            text = f"{name}: is a point of a group, which takes no commands."
-            self._publish(name, Event(time.time_ns(), "command", text))
+            self._publish(name, Event(time.time_ns(), "command", f"{name}: {NOT_CALIBRATED}"))
         elif one is None:
             listed = ", ".join(point.name for point in self._points)
             text = f"{name}: is not a point of this site. Points: {listed}."

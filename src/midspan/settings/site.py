@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SecretStr, model_validator
 
-from midspan.errors import DataError, UsageError
+from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.alarms import AlarmSettings, MaintenanceSettings, NotifySettings
 from midspan.settings.fields import FileName, Form, IsNumber, Section, limited
@@ -279,7 +279,7 @@ class Site:
 def load_site(path: str | Path) -> Site:
     """Read and validate a SITE.toml (or the folder that holds it).
 
-    Raises UsageError for what it may not say, DataError where it is missing.
+    Raises UsageError for what it may not say, and where it is missing.
     """
     file = Path(path)
     file = file / SITE_FILE if file.is_dir() else file
@@ -288,7 +288,7 @@ def load_site(path: str | Path) -> Site:
     except TreeError as error:
         raise UsageError(f"{file}: {error}.") from None
     except OSError as error:
-        raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
+        raise UsageError(f"{file}: cannot be read ({error.strerror}). A live site is a SITE.toml.") from None
     if not tree:
         raise UsageError(f"{file}: is empty. A site has name, [store] and one [[point]] for each measuring point.")
     tree = filled(tree, str(file), lambda name: os.environ.get(name))

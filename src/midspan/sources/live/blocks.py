@@ -61,9 +61,7 @@ def parse(payload: bytes, kind: int, dated: Dated | None = None) -> Block:
     """
     if len(payload) > MAX_BYTES:
         raise _refuse(f"{len(payload)} bytes; at most {MAX_BYTES} are accepted")
-    block = _of_json(payload, kind, dated) if payload[:1] in (b"{", b" ", b"\n") else _of_bytes(payload)
-    if block.kind != kind:
-        raise _refuse(f"kind {block.kind} where {kind} is expected")
+    block = _of_json(payload, kind, dated) if payload[:1] in (b"{", b" ", b"\n") else _of_bytes(payload, kind)
     if not FIRST_NS <= block.t0_ns <= LAST_NS:
         raise _refuse(f"a first stamp of {block.t0_ns} ns, outside the years 2000 to 2200 (UTC)")
     # A result of one row has no interval.
@@ -72,12 +70,14 @@ def parse(payload: bytes, kind: int, dated: Dated | None = None) -> Block:
     return block
 
 
-def _of_bytes(payload: bytes) -> Block:
+def _of_bytes(payload: bytes, expected: int) -> Block:
     if len(payload) < HEAD.size:
         raise _refuse(f"{len(payload)} bytes; the head alone has {HEAD.size}")
     version, kind, _, sequence, t0_ns, dt_ns, count = HEAD.unpack_from(payload)
     if version != VERSION:
         raise _refuse(f"version {version}; this program reads version {VERSION}")
+    if kind != expected:
+        raise _refuse(f"kind {kind} where {expected} is expected")
     columns = 2 if kind == RESULT else 1
     if len(payload) != HEAD.size + 4 * count * columns:
         raise _refuse(f"{len(payload)} bytes, but {count} values need {HEAD.size + 4 * count * columns}")
