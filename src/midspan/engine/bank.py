@@ -58,12 +58,12 @@ class BankSettings:
 
     acceleration_std_m_s2: standard deviation of the accelerometer's noise, a sample. displacement_std_m: of the
     displacement sensor's, a measurement; more shows in its innovations. slow_std_m: of its slow error, of which more
-    shows where it lasts some seconds only; None: as large as its noise. slow_time_s: correlation time of that. delay_std_s: of the delay of its
-    stamps, 0: they are exact. gain_std: of the accelerometer's relative gain error, 0: it is exact. bias_walk: density
-    of the bias's random walk, (m/s²)²/s. wait_s: a sensor that is behind is waited for so long. coasting_s, lost_s:
-    age of the last accepted measurement from which on rows are coasting and lost; at least 5 and 10 of its intervals.
-    as_stated: the displacement sensor is as stated, so that no measurement is an outlier and its noise is not followed.
-    rounded: rows are rounded to what their standard deviation leaves of them.
+    shows where it lasts some seconds only; None: as large as its noise. slow_time_s: correlation time of that.
+    delay_std_s: of the delay of its stamps, 0: they are exact. gain_std: of the accelerometer's relative gain error, 0:
+    it is exact. bias_walk: density of the bias's random walk, (m/s²)²/s. wait_s: a sensor that is behind is waited for
+    so long. coasting_s, lost_s: age of the last accepted measurement from which on rows are coasting and lost; at least
+    5 and 10 of its intervals. as_stated: the displacement sensor is as stated, so that no measurement is an outlier and
+    its noise is not followed. rounded: rows are rounded to what their standard deviation leaves of them.
     """
 
     acceleration_std_m_s2: float
