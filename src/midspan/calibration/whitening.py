@@ -223,7 +223,7 @@ class Products:
     """Sums over innovations of their products, over the variance.
 
     squares (c,): of each column; with_first (c,): of each one with the first; with_later (c − apart,): of each one with
-    that so many columns after it; count: of innovations; entropy, input_share: as of `Whitened`.
+    the column `apart` places after it; count: of innovations; entropy, input_share: as of `Whitened`.
     """
 
     squares: Floats
