@@ -72,7 +72,7 @@ def postgres():
     pytest.importorskip("psycopg")
     if Postgres.programs() is None:
         pytest.skip("PostgreSQL is not installed")
-    server = Postgres()
+    server = Postgres(synced=False)
     server.start()
     yield server
     server.stop()

@@ -110,9 +110,12 @@ class Mosquitto(Server):
 
 
 class Postgres:
-    """A PostgreSQL server in a folder of its own, which `stop` ends at once and `start` starts again."""
+    """A PostgreSQL server in a folder of its own, which `stop` ends at once and `start` starts again.
 
-    def __init__(self) -> None:
+    synced: whether it waits for the disk. Without, a kill of the server loses nothing, a power cut may.
+    """
+
+    def __init__(self, *, synced: bool = True) -> None:
         # Its owner is not root, who alone may enter the folders of a program that root runs.
         self._folder = Path(tempfile.mkdtemp(prefix="midspan-postgres-"))
         self._data, secret, port = self._folder / "data", secrets.token_hex(8), free_port()
@@ -124,7 +127,8 @@ class Postgres:
             (self._folder / "secret").chmod(0o644)
             self._as_owner = ["setpriv", "--reuid=postgres", "--regid=postgres", "--clear-groups"]
         self.address = f"postgresql://midspan:{secret}@127.0.0.1:{port}"
-        self._options = f"-c listen_addresses=127.0.0.1 -p {port} -k {self._folder}"
+        sync = "on" if synced else "off"
+        self._options = f"-c fsync={sync} -c listen_addresses=127.0.0.1 -p {port} -k {self._folder}"
         secret_file = f"--pwfile={self._folder / 'secret'}"
         self._run("initdb", "-A", "scram-sha-256", secret_file, "-U", "midspan")
 

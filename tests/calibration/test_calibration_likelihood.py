@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from calibration_cases import broadband, observed
 
+from midspan.calibration import time_offset
 from midspan.calibration.fit import Pair, aligned, best_corner, evaluate, gauss_newton, refine
 from midspan.calibration.scale import calibrate_scale
 from midspan.calibration.slow_error import likeliest_slow_error
-from midspan.calibration.time_offset import curvature, scan
-from midspan.calibration.whitening import BIAS_WALK_RATIO, NO_SLOW_ERROR, SETTLING, integrated
+from midspan.calibration.time_offset import curvature, scan, search_offset
+from midspan.calibration.whitening import BIAS_WALK_RATIO, NO_SLOW_ERROR, SETTLING, integrated, products_of
 from midspan.simulate.motion.motion import Sines
 from repeats import slow
 
@@ -72,6 +73,29 @@ def test_a_changed_pair_is_that_of_its_fields(fields):
     for change in ({"rows": rows}, {"samples": samples}, {"rows": rows, "samples": samples}):
         kept, fresh = (evaluate(one, OFFSET_S, 2.0) for one in (pair.changed(**change), replace(pair, **change)))
         assert (kept.likelihood, kept.ratio) == (fresh.likelihood, fresh.ratio)
+
+
+def test_a_search_that_changes_nothing_of_its_pair_scans_the_offsets_once(monkeypatch):
+    scans = []
+    monkeypatch.setattr(time_offset, "scan", lambda *given: scans.append(given) or scan(*given))
+    pair = record(5)
+    pair = replace(pair, rows=pair.rows / np.array([1.0, 1.0, pair.rows[0, 2]]))
+    search_offset(pair, 0.15)
+    assert len(scans) == 1
+    assert pair.changed(motion_share=0.0, rows=pair.rows, ratio=None) is pair
+
+
+def test_products_are_those_of_the_innovations():
+    pair = record(7)
+    here = aligned(pair, OFFSET_S)
+    corner, columns = 2.0, here.columns
+    w = here.whitened(corner)
+    sums = products_of(columns.rows, columns.values, pair.pieces, corner**4 / pair.rate_hz, apart=2)
+    # Sums of some hundred squares are rounded to a few 1e-15 of their size.
+    assert sums.squares == pytest.approx([w.product(one, one) for one in w.columns.T], rel=1e-12)
+    assert sums.with_first[1] == pytest.approx(w.product(w.translation, w.response), rel=1e-12)
+    assert sums.with_later == pytest.approx([w.product(w.translation, w.columns[:, 2])], rel=1e-12)
+    assert (sums.count, sums.entropy, sums.input_share) == (len(w.variance), w.entropy, w.input_share)
 
 
 def test_whitened_columns_are_those_of_a_dense_solution():

@@ -8,6 +8,7 @@ from midspan.evaluate.result_file import compare, read_reference, read_result
 from midspan.records import Source, Status, nanoseconds
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import write_result
+from midspan.sources.accelerometer import text
 
 SUFFIXES = [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms", ".mseed", ".uff"]
 TIME_NS = nanoseconds(1.25 + np.arange(1500) / 100.0)
@@ -47,6 +48,14 @@ def test_every_format_of_a_result_comes_back_with_its_band_and_exact_times(suffi
     # CSV keeps nine decimals of a millimetre, 1e-12 m.
     np.testing.assert_allclose(stored.series.value, 1e-3 * (motion_mm(TIME_S) + 0.1), atol=1e-12)
     np.testing.assert_allclose(stored.band.std_m, 2e-4, atol=1e-12)
+
+
+def test_a_result_is_read_once(tmp_path, monkeypatch):
+    path, reads = write(tmp_path / "result.csv"), []
+    real = text.read
+    monkeypatch.setattr(text, "read", lambda path: reads.append(path) or real(path))
+    assert len(read_result(path).series.value) > 0
+    assert reads == [path]
 
 
 def test_two_files_compare(tmp_path, reference):

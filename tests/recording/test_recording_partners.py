@@ -86,9 +86,10 @@ def test_two_cameras_on_one_box_remove_the_tilt_that_they_share(turn, kinds, ord
 
 def test_a_calibration_of_two_cameras_read_back_gives_the_same_rows(tmp_path):
     two_cameras(tmp_path, TILT)
-    midspan.calibrate(tmp_path).save(tmp_path / "calibration.json")
+    calibration = midspan.calibrate(tmp_path)
+    calibration.save(tmp_path / "calibration.json")
     again = midspan.estimate(tmp_path, tmp_path / "calibration.json")
-    rows = midspan.estimate(tmp_path, midspan.calibrate(tmp_path))
+    rows = midspan.estimate(tmp_path, calibration)
     np.testing.assert_allclose(again.displacement_mm, rows.displacement_mm, atol=1e-6)
 
 

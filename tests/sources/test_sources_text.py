@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from midspan.errors import DataError, UsageError
 from midspan.records import TimeSeries
+from midspan.sources.accelerometer import dialect as dialect_module
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 
@@ -120,6 +121,16 @@ def test_files_of_loggers_are_understood(tmp_path: Path, text: str, times_s: lis
     # Times were written to a millisecond or better; they must come out to the nanosecond.
     np.testing.assert_allclose(relative, np.array(times_s) * 1e9, atol=300)
     np.testing.assert_allclose(series.value, values, rtol=1e-15)
+
+
+def test_delimiters_that_are_in_no_line_are_tried_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[tuple[str, str]] = []
+    real = dialect_module._try
+    monkeypatch.setattr(dialect_module, "_try", lambda lines, *sign: tried.append(sign) or real(lines, *sign))
+    (tmp_path / "a.csv").write_text("time_s,a\n" + "".join(f"{0.01 * k:.2f},{k % 7}\n" for k in range(50)))
+    assert dialect_module.find_dialect(tmp_path / "a.csv").delimiter == ","
+    # Comma, blanks and one of semicolon, tab and bar, each with both decimal signs.
+    assert len(tried) == 6
 
 
 def test_what_was_found_is_reported_in_plain_words(tmp_path: Path) -> None:

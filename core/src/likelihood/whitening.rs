@@ -42,16 +42,90 @@ pub struct Innovations {
     pub bias_variance: f64,
 }
 
+/// What a run leaves of the sums over rows, each divided by the variance of its innovation.
+pub struct Products {
+    /// Of the squares of each column (c,).
+    pub squares: Vec<f64>,
+    /// Of each column's products with the first one (c,).
+    pub with_first: Vec<f64>,
+    /// Of each column's products with the one `apart` columns after it (c − apart,); without `apart` there are none.
+    pub with_later: Vec<f64>,
+    /// As of [`Innovations`].
+    pub variance: Vec<f64>,
+    /// As of [`Innovations`].
+    pub input_part: Vec<f64>,
+}
+
 /// Whiten columns (m, c) of values, row by row, at `rows` (m,) of time (s) and relative variance.
 ///
 /// `longer` (m, c) or empty: what is added to a column's step up to a row, s.
-pub fn whiten(noise: &Noise, rows: &[[f64; 2]], values: Vec<f64>, longer: &[f64]) -> Innovations {
+pub fn whiten(noise: &Noise, rows: &[[f64; 2]], mut values: Vec<f64>, longer: &[f64]) -> Innovations {
+    let count = if rows.is_empty() { 0 } else { values.len() / rows.len() };
+    let (mut variance, mut input_part) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
+    let end = run_any(noise, rows, count, longer, |j, gain, update| {
+        update(&mut values[j * count..(j + 1) * count]);
+        variance.push(gain.total);
+        input_part.push(gain.input_part);
+    });
+    Innovations { values, variance, input_part, bias: end.bias, bias_variance: end.bias_variance }
+}
+
+/// Whiten columns as [`whiten`] does, and sum up their products from the row `first` on.
+pub fn products(noise: &Noise, rows: &[[f64; 2]], values: &[f64], apart: usize, first: usize) -> Products {
+    let count = if rows.is_empty() { 0 } else { values.len() / rows.len() };
+    let mut row = vec![0.0; count];
+    let (mut squares, mut with_first) = (vec![0.0; count], vec![0.0; count]);
+    let mut with_later = vec![0.0; if apart == 0 { 0 } else { count.saturating_sub(apart) }];
+    let (mut variance, mut input_part) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
+    run_any(noise, rows, count, &[], |j, gain, update| {
+        row.copy_from_slice(&values[j * count..(j + 1) * count]);
+        update(&mut row);
+        variance.push(gain.total);
+        input_part.push(gain.input_part);
+        if j < first || count == 0 {
+            return;
+        }
+        let scale = gain.total.sqrt().recip();
+        row.iter_mut().for_each(|value| *value *= scale);
+        let lead = row[0];
+        for ((square, product), value) in squares.iter_mut().zip(&mut with_first).zip(&row) {
+            *square += value * value;
+            *product += lead * value;
+        }
+        for ((product, value), later) in with_later.iter_mut().zip(&row).zip(row.iter().skip(apart)) {
+            *product += value * later;
+        }
+    });
+    Products { squares, with_first, with_later, variance, input_part }
+}
+
+/// Of a row: the variance of its innovation, and what of it the acceleration's noise makes.
+struct AtRow {
+    total: f64,
+    input_part: f64,
+}
+
+/// The bias (c,) at the end of the pieces, and its variance.
+struct End {
+    bias: Vec<f64>,
+    bias_variance: f64,
+}
+
+/// `each` has a row's number and what makes the row's values its innovations.
+fn run_any(
+    noise: &Noise,
+    rows: &[[f64; 2]],
+    count: usize,
+    longer: &[f64],
+    each: impl FnMut(usize, AtRow, &mut dyn FnMut(&mut [f64])),
+) -> End {
     let motion = Motion::of([DIFFUSE; 3]);
     match noise.slow {
         Some([variance, ..]) => {
-            run(noise, rows, values, longer, (WithSlowError::of(motion, variance), WithSlowError::default()))
+            let state = (WithSlowError::of(motion, variance), WithSlowError::default());
+            run(noise, rows, Columns::at_rest(count), longer, state, each)
         }
-        None => run(noise, rows, values, longer, (motion, Motion::default())),
+        None => run(noise, rows, Columns::at_rest(count), longer, (motion, Motion::default()), each),
     }
 }
 
@@ -59,14 +133,13 @@ pub fn whiten(noise: &Noise, rows: &[[f64; 2]], values: Vec<f64>, longer: &[f64]
 fn run<C: Covariance>(
     noise: &Noise,
     rows: &[[f64; 2]],
-    mut values: Vec<f64>,
+    mut columns: Columns,
     longer: &[f64],
     state: (C, C),
-) -> Innovations {
+    mut each: impl FnMut(usize, AtRow, &mut dyn FnMut(&mut [f64])),
+) -> End {
     let (mut state, mut of_input) = state;
-    let count = if rows.is_empty() { 0 } else { values.len() / rows.len() };
-    let mut columns = Columns::at_rest(count);
-    let (mut variance, mut input_part) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
+    let count = columns.x.len();
     let mut reached = rows.first().map_or(0.0, |row| row[0]);
     let mut steps = Steps { pieces: noise.pieces, piece: 0, reached };
     let mut advance = |until: f64, state: &mut C, of_input: &mut C| {
@@ -77,10 +150,10 @@ fn run<C: Covariance>(
         }
     };
     for (j, &[time_s, relative]) in rows.iter().enumerate() {
-        let (lapse, row) = (time_s - reached, j * count..(j + 1) * count);
+        let lapse = time_s - reached;
         reached = time_s;
         advance(time_s, &mut state, &mut of_input);
-        columns.predict(lapse, longer.get(row.clone()).filter(|longer| !longer.is_empty()));
+        columns.predict(lapse, longer.get(j * count..(j + 1) * count).filter(|longer| !longer.is_empty()));
         let turn = noise.slow.map(|[slow_variance, rate, omega]| {
             let turn = Turn::over(lapse, rate, omega);
             state.decay(turn, turn.added().map(|part| part * slow_variance));
@@ -88,19 +161,18 @@ fn run<C: Covariance>(
             turn
         });
         let measured = state.gain(relative);
-        variance.push(measured.total);
-        input_part.push(of_input.displacement());
-        match turn {
-            None => columns.update(&measured.gain, &mut values[row]),
-            Some(turn) => columns.update_with_slow_error(&measured.gain, turn, &mut values[row]),
-        }
+        let at_row = AtRow { total: measured.total, input_part: of_input.displacement() };
+        each(j, at_row, &mut |row| match turn {
+            None => columns.update(&measured.gain, row),
+            Some(turn) => columns.update_with_slow_error(&measured.gain, turn, row),
+        });
         state.update(&measured.gain, relative);
         of_input.update(&measured.gain, 0.0);
     }
     let end = noise.pieces.last().map_or(reached, |piece| piece[0].max(reached));
     advance(end, &mut state, &mut of_input);
     // A bias is constant where nothing is measured.
-    Innovations { values, variance, input_part, bias: columns.b, bias_variance: state.bias() }
+    End { bias: columns.b, bias_variance: state.bias() }
 }
 
 /// The states of all columns, each state in a row of its own, so that the processor takes several columns at once.
@@ -203,12 +275,25 @@ mod tests {
                 .collect();
             let pieces = [[0.5 * time, 1.0], [time, 3.0]];
             let noise = Noise { pieces: &pieces, density, slow: slow.then_some([2.0, 0.3, 1.7]) };
-            let found = whiten(&noise, &rows, values, &[]);
+            let found = whiten(&noise, &rows, values.clone(), &[]);
             for row in found.values.chunks_exact(3) {
                 // The first innovations are as large as the values; rounding is that of sums of order one.
                 prop_assert!((row[0] + row[1] - row[2]).abs() < 1e-8);
             }
             prop_assert!(found.variance.iter().all(|&one| one >= 1.0));
+            let sums = products(&noise, &rows, &values, 1, 3);
+            let summed = |a: usize, b: usize| -> f64 {
+                let rows = found.values.chunks_exact(3).zip(&found.variance).skip(3);
+                rows.map(|(row, variance)| row[a] * row[b] / variance).sum()
+            };
+            for (sum, a, b) in [
+                (sums.squares[1], 1, 1), (sums.with_first[2], 0, 2), (sums.with_later[0], 0, 1), (sums.with_later[1], 1, 2)
+            ] {
+                // Rounding of some forty summands.
+                let size = (summed(a, a) * summed(b, b)).sqrt();
+                prop_assert!((sum - summed(a, b)).abs() <= 1e-13 * size, "{a} {b}");
+            }
+            prop_assert!(sums.variance == found.variance && sums.input_part == found.input_part);
         }
     }
 

@@ -23,14 +23,9 @@ fn whiten<'py>(
     slow: Option<[f64; 3]>,
     longer: Option<PyReadonlyArray2<'py, f64>>,
 ) -> PyResult<Whitened<'py>> {
-    let (pieces, rows) = (pairs("pieces", &pieces)?, pairs("rows", &rows)?);
+    let [pieces, rows] = times(&pieces, &rows)?;
     let (values, longer) = (values.as_array(), longer.as_ref().map(PyReadonlyArray2::as_array));
     same_length("rows, values", rows.len(), values.nrows())?;
-    // Times of records are 64-bit nanoseconds; what lies farther apart would be stepped through for ever.
-    let longest_s = i64::MAX as f64 * 1e-9;
-    if rows.iter().chain(&pieces).any(|[time, _]| !(-longest_s..=longest_s).contains(time)) {
-        return Err(PyValueError::new_err("pieces, rows: a time that is not finite or beyond 64-bit nanoseconds"));
-    }
     if longer.is_some_and(|longer| longer.dim() != values.dim()) {
         return Err(PyValueError::new_err("longer: not of the shape of values"));
     }
@@ -45,6 +40,51 @@ fn whiten<'py>(
         found.bias.into_pyarray(py),
         found.bias_variance,
     ))
+}
+
+/// The squares of columns (c,), their products with the first one (c,), with later ones, variances (m,), input parts (m,).
+type Summed<'py> = (
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+);
+
+/// See [`whitening::products`].
+#[pyfunction]
+fn whitened_products<'py>(
+    py: Python<'py>,
+    pieces: PyReadonlyArray2<'py, f64>,
+    rows: PyReadonlyArray2<'py, f64>,
+    values: PyReadonlyArray2<'py, f64>,
+    density: f64,
+    apart: usize,
+    first: usize,
+) -> PyResult<Summed<'py>> {
+    let [pieces, rows] = times(&pieces, &rows)?;
+    same_length("rows, values", rows.len(), values.as_array().nrows())?;
+    let values = values.as_slice().map_err(|_| PyValueError::new_err("values: not contiguous"))?;
+    let noise = whitening::Noise { pieces: &pieces, density, slow: None };
+    let sums = py.detach(|| whitening::products(&noise, &rows, values, apart, first));
+    Ok((
+        sums.squares.into_pyarray(py),
+        sums.with_first.into_pyarray(py),
+        sums.with_later.into_pyarray(py),
+        sums.variance.into_pyarray(py),
+        sums.input_part.into_pyarray(py),
+    ))
+}
+
+/// Pieces and rows, whose times are records'.
+fn times(pieces: &PyReadonlyArray2<f64>, rows: &PyReadonlyArray2<f64>) -> PyResult<[Vec<[f64; 2]>; 2]> {
+    let (pieces, rows) = (pairs("pieces", pieces)?, pairs("rows", rows)?);
+    // Times of records are 64-bit nanoseconds; what lies farther apart would be stepped through for ever.
+    let longest_s = i64::MAX as f64 * 1e-9;
+    if rows.iter().chain(&pieces).any(|[time, _]| !(-longest_s..=longest_s).contains(time)) {
+        return Err(PyValueError::new_err("pieces, rows: a time that is not finite or beyond 64-bit nanoseconds"));
+    }
+    Ok([pieces, rows])
 }
 
 fn copied(array: &ArrayView2<'_, f64>) -> Vec<f64> {
@@ -97,6 +137,7 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("BIAS_WALK_RATIO", whitening::BIAS_WALK_RATIO)?;
     module.add_function(wrap_pyfunction!(follow_with_play, module)?)?;
     module.add_function(wrap_pyfunction!(whiten, module)?)?;
+    module.add_function(wrap_pyfunction!(whitened_products, module)?)?;
     module.add_function(wrap_pyfunction!(integrate, module)?)?;
     module.add_function(wrap_pyfunction!(derivative, module)?)
 }

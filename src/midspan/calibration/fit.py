@@ -145,7 +145,12 @@ class Pair:
         return np.column_stack((time_s, density))[ends]
 
     def changed(self, **fields: Any) -> "Pair":
-        """The pair with other fields; what is made of those that stay is made once: of a long record most work."""
+        """The pair with other fields; what is made of those that stay is made once: of a long record most work.
+
+        A pair whose fields are all as they were is itself.
+        """
+        if all(_same(getattr(self, name), value) for name, value in fields.items()):
+            return self
         other = replace(self, **fields)
         kept = [name for name, of in MADE_OF.items() if fields.keys().isdisjoint(of)]
         vars(other).update({name: getattr(self, name) for name in kept})
@@ -163,6 +168,10 @@ class Pair:
     def used(self, offset_s: float) -> NDArray[np.int64]:
         """Which rows are compared at an offset."""
         return usable(self.rows, offset_s, (float(self.responses[0].edges_s[0]), float(self.samples[-1, 0])))
+
+
+def _same(before: Any, after: Any) -> bool:
+    return before is after or (isinstance(before, float) and isinstance(after, float) and before == after)
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ from midspan.calibration.fit import (
 )
 from midspan.calibration.outliers import cleaned, without_lonely_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
-from midspan.calibration.whitening import levelled, whiten_columns
+from midspan.calibration.whitening import levelled, products_of
 from midspan.records import Floats, TimeOffset
 
 # Noise ratios tried at each offset, and values whitened at once, for memory. Offsets are tried at the rate of the
@@ -114,7 +114,9 @@ def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> Offse
         if again is pair:
             break
         pair = again
-    pair = with_input_noise(pair, best)[0]
+    if turn > 0:
+        # In the first turn it is as it was there.
+        pair = with_input_noise(pair, best)[0]
     fits = [refine(pair, fit, step) for fit in fits]
     best = max(fits, key=likelihood_of)
     if edge_s > 0.0:
@@ -171,26 +173,23 @@ def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> 
     values = levelled(rows[:, 0], np.column_stack((rows[:, 1], *responses)), drifts=pair.bias_drifts)[0]
     at = np.column_stack((rows[:, 0] + float(np.mean(offsets)), rows[:, 2]))
     table, without = np.empty((len(corners), count)), np.empty((len(corners), count))
+    apart = count if pair.outside is not None else 0
     for k, corner in enumerate(corners):
-        w = whiten_columns(at, values, pair.pieces, corner**4 / pair.rate_hz)
-        standard = w.columns / np.sqrt(w.variance)[:, None]
-        translation, response, outside = np.split(standard, (1, 1 + count), axis=1)
-        total, cross, power = _sums(translation, translation), _sums(translation, response), _sums(response, response)
+        w = products_of(at, values, pair.pieces, corner**4 / pair.rate_hz, apart)
+        total, response = w.squares[0], slice(1, 1 + count)
+        cross, power = w.with_first[response], w.squares[response]
         if pair.outside is not None:
-            own, seen, shared = _sums(outside, outside), _sums(translation, outside), _sums(response, outside)
+            own, seen, shared = w.squares[1 + count :], w.with_first[1 + count :], w.with_later[response]
             total, cross, power = total - seen**2 / own, cross - seen * shared / own, power - shared**2 / own
         ratio = cross / np.maximum(power, 1e-300) if pair.ratio is None else pair.ratio
         left = np.maximum(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
-        n = len(w.variance)
         alike = PRIOR_POWER * np.log(corner) - w.entropy
-        table[k], without[k] = (alike - 0.5 * n * np.log(np.maximum(one, 1e-300) / n) for one in (left, total))
+        table[k], without[k] = (
+            alike - 0.5 * w.count * np.log(np.maximum(one, 1e-300) / w.count) for one in (left, total)
+        )
         if pair.ratio is None and pair.reference is not None:
             table[k] += w.input_share * np.log(np.maximum(np.abs(ratio) / pair.reference, MIN_RATIO))
     return table, without
-
-
-def _sums(first: Floats, second: Floats) -> Floats:
-    return np.asarray(np.einsum("mc,mc->c", *np.broadcast_arrays(first, second)))
 
 
 def _refined(pair: Pair, offsets: Floats, curve: Floats, corner: Floats) -> list[Fit]:

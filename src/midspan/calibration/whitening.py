@@ -145,17 +145,27 @@ class Whitened:
     @property
     def input_share(self) -> float:
         """The number of innovations that are accelerometer noise: their shares summed up."""
-        return float(np.add.reduce(self.input_part / self.variance))
+        return share_of(self.input_part, self.variance)
 
     @property
     def entropy(self) -> float:
         """Half the sum of the logarithms of the variances."""
-        return 0.5 * float(np.add.reduce(np.log(self.variance)))
+        return entropy_of(self.variance)
 
     def regression(self, columns: Floats) -> tuple[Floats, Floats]:
         """Products (c, c) of columns (k, c) with each other and (c,) with the translation, over the variance."""
         power = np.einsum("mi,mj,m->ij", columns, columns, 1.0 / self.variance)
         return power, np.einsum("mi,m->i", columns, self.translation / self.variance)
+
+
+def share_of(input_part: Floats, variance: Floats) -> float:
+    """The number of innovations that are accelerometer noise, as of `Whitened`."""
+    return float(np.add.reduce(input_part / variance))
+
+
+def entropy_of(variance: Floats) -> float:
+    """Half the sum of the logarithms of variances."""
+    return 0.5 * float(np.add.reduce(np.log(variance)))
 
 
 def inverse_of(power: Floats) -> Floats:
@@ -206,6 +216,32 @@ def whiten_columns(
     index = np.arange(len(rows)) if index is None else index
     s = slice(SETTLING, None)
     return Whitened(found[s], variance[s], input_part[s], index[s], bias - open_bias, bias_variance)
+
+
+@dataclass(frozen=True, slots=True)
+class Products:
+    """Sums over innovations of their products, over the variance.
+
+    squares (c,): of each column; with_first (c,): of each one with the first; with_later (c − apart,): of each one with
+    the column `apart` places after it; count: of innovations; entropy, input_share: as of `Whitened`.
+    """
+
+    squares: Floats
+    with_first: Floats
+    with_later: Floats
+    count: int
+    entropy: float
+    input_share: float
+
+
+def products_of(rows: Floats, values: Floats, pieces: Floats, density: float, apart: int = 0) -> Products:
+    """What `whiten_columns` leaves summed up, for many columns: their innovations are not kept."""
+    values = np.ascontiguousarray(values)
+    sums = _core.whitened_products(pieces, rows, values, density, apart, SETTLING)
+    squares, with_first, with_later, variance, input_part = sums
+    variance, input_part = variance[SETTLING:], input_part[SETTLING:]
+    entropy, share = entropy_of(variance), share_of(input_part, variance)
+    return Products(squares, with_first, with_later, len(variance), entropy, share)
 
 
 def usable(rows: Floats, offset_s: float, span_s: tuple[float, float]) -> NDArray[np.int64]:

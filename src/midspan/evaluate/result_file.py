@@ -47,7 +47,8 @@ def read_result(path: str | Path, unit: str | None = None, axis: str | None = No
     found = list_channels(path)
     own = column_of(found.names, axis)
     assumed = unit is None and own is None and not any(measures(c.unit, "displacement") for c in found.channels)
-    series = read_series(path, SeriesRequest("displacement", value=own, unit=USUAL_UNIT if assumed else unit))
+    request = SeriesRequest("displacement", value=own, unit=USUAL_UNIT if assumed else unit)
+    series = read_series(path, request, channels=found)
     if assumed and named_after(series.name, "acceleration") and not named_after(series.name, "displacement"):
         raise UsageError(
             f"{path}: {series.name!r} is acceleration by its name, and the file has no channel of displacement. Name a "

@@ -7,6 +7,7 @@ Geometry, 2004, chapter 6, doi 10.1017/CBO9780511811685). Axes: x right, y down,
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -66,8 +67,7 @@ class PosedView:
         image: Image = np.zeros(self.shape, dtype=np.float32)
         for plane in self.planes:
             own = plane.region
-            down, across = np.mgrid[own.y : own.y + own.height, own.x : own.x + own.width].astype(np.float64)
-            ray = self._rays(down, across)
+            ray = _rays(own, self.shape, self.focal_px, self.k1)
             lines = slice(own.y, own.y + own.height) if len(moments) > 1 else slice(0, 1)
             part = np.zeros((own.height, own.width), dtype=np.float32)
             for k in range(moments.shape[1]):
@@ -80,16 +80,6 @@ class PosedView:
         for stamp in stamps_s:
             yield self.camera.expose(self.mean_image(float(stamp)), rng=rng)
 
-    def _rays(self, down: Floats, across: Floats) -> Floats:
-        """Rays (…, 3) of pixels, without the lens."""
-        x = (across - 0.5 * (self.shape[1] - 1)) / self.focal_px
-        y = (down - 0.5 * (self.shape[0] - 1)) / self.focal_px
-        seen, radius = np.hypot(x, y), np.hypot(x, y)
-        for _ in range(20):
-            radius = seen / (1.0 + self.k1 * radius**2)
-        scale = np.where(seen > 0.0, radius / np.where(seen > 0.0, seen, 1.0), 1.0)
-        return np.stack([scale * x, scale * y, np.ones_like(x)], axis=-1)
-
     def _seen(self, plane: Plane, ray: Floats, place: Floats, turned: Floats) -> Image:
         """A plane from one place and rotation (1 or rows, …)."""
         world = np.einsum("rij,rcj->rci", np.broadcast_to(turned, (len(ray), 3, 3)), ray)
@@ -101,3 +91,18 @@ class PosedView:
         x = per_m * (place[:, None, 0] + steps * world[..., 0]) + 0.5 * (self.shape[1] - 1) - plane.region.x
         y = per_m * (place[:, None, 1] + steps * world[..., 1]) + 0.5 * (self.shape[0] - 1) - plane.region.y
         return plane.scene.at_points(y, x)
+
+
+@lru_cache(maxsize=8)
+def _rays(region: Region, shape: tuple[int, int], focal_px: float, k1: float) -> Floats:
+    """Rays (…, 3) of a region's pixels, without the lens; those of all frames are the same."""
+    down, across = np.mgrid[region.y : region.y + region.height, region.x : region.x + region.width].astype(np.float64)
+    x = (across - 0.5 * (shape[1] - 1)) / focal_px
+    y = (down - 0.5 * (shape[0] - 1)) / focal_px
+    seen, radius = np.hypot(x, y), np.hypot(x, y)
+    for _ in range(20):
+        radius = seen / (1.0 + k1 * radius**2)
+    scale = np.where(seen > 0.0, radius / np.where(seen > 0.0, seen, 1.0), 1.0)
+    rays = np.stack([scale * x, scale * y, np.ones_like(x)], axis=-1)
+    rays.setflags(write=False)
+    return rays

@@ -2,7 +2,8 @@
 
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from pathlib import Path
 
 from midspan.errors import DataError
@@ -86,7 +87,7 @@ def find_dialect(path: Path) -> Dialect:
     encoding = _encoding(head)
     lines = re.split(r"\r\n|\n|\r", head.decode(encoding, errors="replace"))
     lines = (lines[:-1] if len(head) == SAMPLE_BYTES else lines)[:SAMPLE_LINES]
-    guesses = [guess for sign in _CANDIDATES if (guess := _try(lines, *sign)) is not None]
+    guesses = _guesses(lines)
     is_whole = len(head) < SAMPLE_BYTES and len(lines) < SAMPLE_LINES
     if is_whole and (heading := _heading_at_end(lines, max((guess.rows for guess in guesses), default=0))):
         raise DataError(f"{path} has no data rows: nothing follows its heading {heading!r}. Export it again with data.")
@@ -194,6 +195,18 @@ def split(line: str, delimiter: str) -> list[str]:
     return [field.strip() for field in line.split(delimiter)]
 
 
+def _guesses(lines: list[str]) -> list[_Guess]:
+    """What each delimiter and decimal sign make of the lines. Delimiters that are in no line make the same of them."""
+    text, guesses = "\n".join(lines), list[_Guess]()
+    absent = [delimiter for delimiter, _ in _CANDIDATES if delimiter != BLANKS and delimiter not in text]
+    whole = cache(lambda decimal: _try(lines, absent[0], decimal))
+    for delimiter, decimal in _CANDIDATES:
+        guess = whole(decimal) if delimiter in absent else _try(lines, delimiter, decimal)
+        if guess is not None:
+            guesses.append(replace(guess, delimiter=delimiter))
+    return guesses
+
+
 def _try(lines: list[str], delimiter: str, decimal: str) -> _Guess | None:
     """The rows that a delimiter and decimal sign make of the lines; None where they make no columns of numbers."""
     table = [[] if is_comment(line) else split(line, delimiter) for line in lines]
@@ -208,8 +221,7 @@ def _try(lines: list[str], delimiter: str, decimal: str) -> _Guess | None:
     rows = _longest_run(table, values, width)
     # By how many the numbers and times of each column exceed its words.
     more = [
-        sum(2 * is_value(table[k][column], decimal) - (table[k][column].lower() not in _MISSING) for k in rows)
-        for column in range(width)
+        sum(2 * values[k][column] - (table[k][column].lower() not in _MISSING) for k in rows) for column in range(width)
     ]
     numeric = tuple(column for column in range(width) if more[column] > 0)
     rows = [k for k in rows if numeric and values[k][numeric[0]]]
@@ -245,6 +257,8 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith(COMMENT_SIGNS)
 
 
+# Most delimiters leave a line whole.
+@lru_cache(maxsize=4096)
 def is_value(field: str, decimal: str) -> bool:
     """Whether a field is a number with this decimal sign, or a written time."""
     return bool(_NUMBER[decimal].match(field)) or is_time_text(field)

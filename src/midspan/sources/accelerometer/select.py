@@ -55,16 +55,17 @@ class SeriesRequest:
     optional: bool = False
 
 
-def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
+def read_series(path: Path, request: SeriesRequest, *, channels: ChannelSet | None = None) -> TimeSeries:
     """The requested channel of `path`: time in ns, strictly increasing, values in m/s² or m, else NaN.
 
+    channels: those of the file where they are listed already.
     Raises UsageError for an unknown column or unit or when a choice cannot be made, DataError for a file that cannot be
     read, time that runs backwards, repeats or is missing, and fewer than two numbers.
     """
     option("quantity", request.quantity, SI_UNITS)
     if request.rate_hz is not None and not (np.isfinite(request.rate_hz) and request.rate_hz > 0):
         raise UsageError(f"rate_hz must be above zero (Hz); received {request.rate_hz!r}. Correct it or leave it out.")
-    found = list_channels(path)
+    found = channels or list_channels(path)
     require_unsplit_numbers(path, found)
     notes = list(found.notes)
     clock = None
