@@ -240,7 +240,7 @@ def test_displacements_without_accelerations_do_not_pile_up():
 
 
 def test_a_point_needs_some_260_bytes_besides_what_waits():
-    assert len(Bank(1000, SETTINGS).state()) < 1000 * 264
+    assert len(Bank(1000, SETTINGS).state()) < 1000 * 268
 
 
 def test_wrong_arguments_and_states_are_refused():

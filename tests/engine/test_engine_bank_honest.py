@@ -180,6 +180,22 @@ def test_a_frozen_sensor_is_reported_and_its_rows_coast(seed):
     assert not np.any(rows.status[(rows.index > 102 * RATE_HZ) & (rows.index < 139 * RATE_HZ)] == 0)
 
 
+@pytest.mark.parametrize("rms_m", [1e-7, 1e-4])
+@pytest.mark.parametrize("displacement_hz", [1.0, 10.0])
+def test_a_sensor_with_coarse_steps_is_not_frozen_where_the_structure_rests(rms_m, displacement_hz):
+    # Steps of 0.1 mm, twice the stated noise: at rest the same value comes for minutes.
+    stated = BankSettings(0.005, 5e-5)
+    record = measured(*bridge(0, rms_m), 0, Sensors(displacement_hz=displacement_hz), displacement_std=1e-5)
+    record.displacement_m[:] = np.round(record.displacement_m / 1e-4) * 1e-4 + 0.0
+    rows, events = run(record, stated)
+    begun = rows.index > LEARNT_S * RATE_HZ
+    assert np.all(rows.status[begun] == 0)
+    assert BankCode.FROZEN not in {event.code for event in events if event.time_ns > T0_NS + LEARNT_S * 10**9}
+    error = rows.displacement_m[begun] - record.truth_m[rows.index[begun]]
+    assert np.mean(np.abs(error) < 1.96 * rows.std_m[begun]) > 0.93
+    assert np.median(rows.std_m[begun]) < 1e-3
+
+
 @pytest.mark.parametrize("gap_s", [2, 5, 12, 20, 28, 40])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_after_both_sensors_were_away_the_rows_are_as_at_a_start(gap_s, seed):

@@ -30,7 +30,7 @@ const SHIFTED: i8 = 4;
 /// They lie on a line where each is no further from that through the first and the one before, in the standard
 /// deviations of its distance.
 const MAX_OFF_LINE: f64 = 4.0;
-/// A value that was measured this many times in a row is no measurement any more.
+/// A value that was measured this many times in a row, of a sensor that resolves its noise, is no measurement any more.
 const FROZEN: u8 = 10;
 /// Rows end this long after a point was lost, s; what is begun anew after that long.
 pub const ROWS_LOST_S: f64 = 30.0;
@@ -49,6 +49,11 @@ const SLOWEST_HZ: f64 = 1.0;
 const TRUE_SPIKES: f64 = 0.01;
 /// A measurement of an instant this many samples before the last one is late.
 const LATE_STEPS: i64 = 2;
+
+/// Exponent of a number, of powers of two.
+fn exponent(value: f32) -> u8 {
+    (value.abs().to_bits() >> 23) as u8
+}
 
 /// What a point remembers besides what waits.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -70,8 +75,10 @@ pub struct Filter {
     step_ns: u32,
     #[serde(with = "postcard::fixint::le")]
     interval_steps: u16,
-    #[serde(with = "postcard::fixint::le")]
-    last_bits: u16,
+    /// Exponent of the smallest change from one value of the displacement sensor to the next; 255: it never changed.
+    resolution: u8,
+    /// The displacement sensor's last value, m.
+    last_m: f32,
     /// τ and g.
     aside: [f32; 2],
     /// From the last accepted measurement to the anchor, s.
@@ -115,7 +122,8 @@ impl Filter {
             stamped_ns: NEVER,
             step_ns: 0,
             interval_steps: 0,
-            last_bits: 0,
+            resolution: u8::MAX,
+            last_m: 0.0,
             aside: [0.0; 2],
             age_s: 0.0,
             noise: Noise::new(settings),
@@ -296,9 +304,10 @@ impl Filter {
 
     /// Takes a measurement whose instant lies in an interval.
     fn measure(&mut self, one: &Reading, interval: &Interval, settings: &Settings, out: &mut Vec<Event>) {
+        let is_frozen = self.is_frozen(one, settings, out);
         self.stamped_ns = one.time_ns;
         self.interval_steps = u16::try_from(one.step_ns / INTERVAL_STEP).unwrap_or(u16::MAX);
-        if self.is_frozen(one, out) {
+        if is_frozen {
             return;
         }
         let instant_ns = one.time_ns.saturating_sub(self.stamp_of(0));
@@ -317,15 +326,25 @@ impl Filter {
         }
     }
 
-    fn is_frozen(&mut self, one: &Reading, out: &mut Vec<Event>) -> bool {
-        let bits = one.value.to_bits();
-        let bits = (bits ^ (bits >> 16) ^ (bits >> 32) ^ (bits >> 48)) as u16;
-        self.repeats = if bits == self.last_bits { self.repeats.saturating_add(1) } else { 0 };
-        self.last_bits = bits;
-        if self.repeats == FROZEN {
-            out.push(Event { time_ns: one.time_ns, code: Code::Frozen });
+    /// Whether a value is repeated although the sensor resolves its own noise. Of one that does not, as a coarse one on a
+    /// structure that rests, a repeated value is a measurement, and improbable where the structure moves.
+    fn is_frozen(&mut self, measurement: &Reading, settings: &Settings, out: &mut Vec<Event>) -> bool {
+        let value = measurement.value as f32;
+        if value == self.last_m {
+            self.repeats = self.repeats.saturating_add(1);
+        } else {
+            // The first value has none before it.
+            if self.stamped_ns != NEVER {
+                self.resolution = self.resolution.min(exponent(value - self.last_m));
+            }
+            (self.last_m, self.repeats) = (value, 0);
         }
-        self.repeats >= FROZEN
+        // One that never changed may not measure at all.
+        let is_fine = self.resolution == u8::MAX || self.resolution < exponent(settings.displacement_std_m as f32);
+        if is_fine && self.repeats == FROZEN {
+            out.push(Event { time_ns: measurement.time_ns, code: Code::Frozen });
+        }
+        is_fine && self.repeats >= FROZEN
     }
 
     /// The state at the first measurement.

@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// Changes with every change of what is remembered.
-const VERSION: u16 = 5;
+const VERSION: u16 = 6;
 const HEAD: usize = 10;
 
 /// Why bytes are no state.
