@@ -181,7 +181,15 @@ def server():
         one.close()
 
 
-@pytest.mark.parametrize("answer", [b"no HTTP at all\r\n\r\n", b"", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\n{}"])
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"no HTTP at all\r\n\r\n",
+        b"",
+        b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\n{}",
+        b"HTTP/1.1 503 Busy\r\nContent-Length: 9\r\n\r\n{}",
+    ],
+)
 def test_what_answers_something_else_is_no_traceback(server, answer):
     ready, text = asked(server(answer), tls=False)
     assert not ready

@@ -368,6 +368,11 @@ def test_an_outage_is_no_usual_interval():
     assert stands(standings, range(3619, 3624), 3623.0 + 5.1) == SILENT
 
 
+def test_an_outage_after_the_first_block_is_no_usual_interval():
+    # A retained message, then an hour without: a sensor that dies soon after is silent within minutes.
+    assert stands(Standings(1), [0.0, 3600.0], 3600.0 + 181.0) == SILENT
+
+
 def test_rows_of_long_blocks_are_awaited_as_long_as_their_blocks():
     standings = Standings(1)
     assert stands(standings, [0.0, 10.0, 20.0], 30.0) == 0

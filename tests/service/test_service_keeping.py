@@ -116,6 +116,31 @@ def test_a_database_that_is_gone_for_a_while_loses_nothing(postgres):
     assert events == 5
 
 
+def test_rows_are_kept_while_old_days_are_removed(postgres, monkeypatch):
+    keeper, removing, done = Keeper(postgres.database("sweep"), points=["p"]), threading.Event(), threading.Event()
+
+    def delete(*_):
+        removing.set()
+        done.wait(30.0)
+
+    monkeypatch.setattr(database.PostgresDatabase, "delete", delete)
+    keeper.put(batch(0))
+    keeper.write()
+    sweep = threading.Thread(target=keeper.forget_before, args=(BEGIN_NS,))
+    sweep.start()
+    assert removing.wait(30.0)
+    keeper.put(batch(1))
+    writing = threading.Thread(target=keeper.write)
+    writing.start()
+    writing.join(20.0)
+    is_kept = not writing.is_alive() and keeper.waiting == 0
+    done.set()
+    sweep.join()
+    writing.join()
+    keeper.close()
+    assert is_kept
+
+
 class Line:
     """A line to a server on loopback; while it `hangs` it takes what comes and passes nothing on."""
 

@@ -362,6 +362,21 @@ def test_after_a_power_cut_the_state_is_not_newer_than_its_rows(tmp_path, monkey
     store.close()
 
 
+def test_a_state_is_used_whose_rows_are_too_old_to_be_kept(tmp_path):
+    where = tmp_path / "store"
+    store = open_store(where, points=["north"])
+    for number in range(12):
+        store.write(Batch(groups=[second(number)]))
+    store.close()
+    store = open_store(where, points=["north"])
+    store.forget_before(BEGIN_NS + 10 * 86_400 * NANOSECONDS)
+    store.close()
+    store = open_store(where, points=["north"])
+    assert store.newest_ns("north-17", "rows") is None
+    assert store.group_checkpoint("north") is not None
+    store.close()
+
+
 def test_a_state_of_an_earlier_version_is_used(tmp_path):
     import zlib
 

@@ -76,6 +76,13 @@ def test_a_site_runs_in_one_division_at_a_time(store_at, running, second, text):
     open_store(place(store_at, second), points=["north 1"], division=other).close()
 
 
+def test_a_point_may_be_called_shards(tmp_path):
+    store = open_store(tmp_path / "store", points=["shards"], division=Division("bridge", 0))
+    with pytest.raises(UsageError, match="as 2 shards"):
+        open_store(tmp_path / "store" / "shard-1", points=["q"], division=Division("bridge", 2))
+    store.close()
+
+
 def test_a_division_whose_process_is_killed_is_free(store_at):
     with_division = HOLD.replace('points=["p"]', 'points=["p"], division=Division("bridge", 0)').replace(
         "import open_store", "import Division, open_store"

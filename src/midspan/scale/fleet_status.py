@@ -100,11 +100,13 @@ def asked(address: str, *, tls: bool) -> Answer:
     context = ssl._create_unverified_context() if tls else None
     try:
         url = f"{'https' if tls else 'http'}://{address}/readyz"
-        with urlopen(url, timeout=ANSWER_S, context=context) as answer:
+        try:
+            answer = urlopen(url, timeout=ANSWER_S, context=context)
+        except HTTPError as error:
+            # Of one that is not ready: it says why.
+            answer = error
+        with answer:
             return _read(answer.read())
-    except HTTPError as error:
-        with error:
-            return _read(error.read())
     except (URLError, OSError, HTTPException) as error:
         return Answer(False, f"no answer ({getattr(error, 'reason', None) or error or type(error).__name__})")
 

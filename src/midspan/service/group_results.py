@@ -18,6 +18,8 @@ from midspan.sources.live.blocks import RESULT, VERSION
 FRESH_S, FRESH_INTERVALS = 5.0, 3.0
 # The usual interval is averaged over about this many arrivals.
 AVERAGED = 8.0
+# The first interval counts as no more than this, s: it may be an outage's.
+MAX_FIRST_S = 60.0
 # Of neither a reason nor a status.
 UNPUBLISHED = 255
 # Why a point gives no rows that can be relied on, as codes of the documentation's table.
@@ -102,9 +104,9 @@ class Standings:
         """Blocks of points came."""
         own = np.unique(points)
         usual_s, passed_s = self.interval_s[sensor, own], now_s - self.heard_s[sensor, own]
-        # The first interval is the usual one; an outage counts as much as is still fresh.
+        # The first interval is the usual one, unless it is an outage's; an outage counts as much as is still fresh.
         mean_s = usual_s + (np.minimum(passed_s, _fresh_s(usual_s)) - usual_s) / AVERAGED
-        mean_s = np.where(np.isnan(usual_s), passed_s, mean_s)
+        mean_s = np.where(np.isnan(usual_s), np.minimum(passed_s, MAX_FIRST_S), mean_s)
         # Blocks that are read at once are one arrival.
         self.interval_s[sensor, own] = np.where(passed_s > 0.0, mean_s, usual_s)
         self.heard_s[sensor, own] = now_s

@@ -3,11 +3,12 @@
 import threading
 from collections import deque
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 from midspan.errors import MidspanError
 from midspan.store.database import Division, StoreFault
-from midspan.store.store import Batch, Store, open_store
+from midspan.store.store import Batch, Store, is_address, open_store
 from midspan.store.upkeep import take_over_left
 
 # Held back at most, in batches of a point and second: an hour of five points. Of groups this many rows are as much.
@@ -108,12 +109,18 @@ class Keeper:
             raise StoreFault(self.reason, self.text)
 
     def forget_before(self, time_ns: int) -> None:
-        """Remove the days before a time, where the store can be used."""
-        with self._in_use:
-            try:
-                self.store().forget_before(time_ns)
-            except MidspanError as error:
-                self.text = str(error)
+        """Remove the days before a time, where the store can be used; of a server in a session of its own: it may take
+        longer than rows may wait.
+        """
+        try:
+            if is_address(self._where):
+                with closing(open_store(self._where)) as store:
+                    store.forget_before(time_ns)
+            else:
+                with self._in_use:
+                    self.store().forget_before(time_ns)
+        except MidspanError as error:
+            self.text = str(error)
 
     def close(self) -> None:
         """Write what waits and let the store go."""

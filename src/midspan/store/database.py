@@ -281,7 +281,8 @@ def _division_file(folder: Path, division: Division) -> IO[bytes]:
             file = (folder / LOCKS / f"{SHARDS}.{division.count}").open("a+b")
             shared(file)
             for path in (folder / LOCKS).glob(f"{SHARDS}.*"):
-                if path.name != Path(file.name).name:
+                # `shards.lock` is that of a point with this name.
+                if path.suffix[1:].isdecimal() and path.name != Path(file.name).name:
                     other = lock_file(path)
                     if other is None:
                         file.close()
@@ -324,9 +325,10 @@ def lock_in_session(connection: Any, points: Sequence[str], division: Division |
     """Lock points, and the site's division, for as long as a connection to PostgreSQL lasts. Raises UsageError as
     `FileLocks` does.
     """
-    from midspan.store.session import STATEMENT_S
+    from midspan.store.session import SILENT_S, STATEMENT_S
 
     if points:
+        connection.silent_s = SILENT_S
         connection.execute(KEEP_ALIVE)
         connection.execute(f"SET statement_timeout = {round(1e3 * STATEMENT_S)}")
     for point in points:

@@ -9,7 +9,7 @@ import os
 import struct
 import zlib
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from midspan.errors import DataError
@@ -74,7 +74,11 @@ class StateFiles:
         if is_damaged(files := files_of(self._file(key))):
             raise DataError(f"The store's checkpoint of the group {key} is damaged; its points restart.")
         found = [one for file in files if (one := whole_state(file)) is not None]
-        return [state for _, _, state in sorted(found, key=lambda one: one[0], reverse=True)]
+        # What a lasting one rests on was on the disk before it, and may have been removed since.
+        return [
+            replace(state, rows_ns=NO_ROWS_NS) if lasting else state
+            for _, lasting, state in sorted(found, key=lambda one: one[0], reverse=True)
+        ]
 
     def close(self) -> None:
         """Let the files go; what they have is brought to the disk."""
