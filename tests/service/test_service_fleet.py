@@ -207,10 +207,14 @@ def test_a_fleet_loses_no_row_where_a_shard_and_its_driver_are_killed(tmp_path, 
         send(listener, first + SECONDS, 4)
         listener.wait("available", "online")
         assert_whole(stores, first, SECONDS + 4)
-        code, reports = status(file)
-        assert [one["shard"] for one in reports] == [1, 2, 3]
+        # On a busy machine a shard that begins needs longer than it has for an answer.
+        for _ in range(10):
+            code, reports = status(file)
+            if all("no answer" not in report["text"] for report in reports):
+                break
+        assert [report["shard"] for report in reports] == [1, 2, 3]
         assert code in (0, 3)
-        assert all("no answer" not in one["text"] for one in reports)
+        assert all("no answer" not in report["text"] for report in reports)
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 0
         assert json.loads(process.stdout.read())["count"] == 3

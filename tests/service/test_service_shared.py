@@ -114,7 +114,8 @@ def test_points_on_one_camera_get_what_each_would_get_alone(film, tmp_path, monk
             cut.append(first.cameras["camera"].cut(None))
             third.cameras["camera"].leave()
         # A frame that is on its way is cut as before.
-        return len(first.live.of("camera")) > 5 and is_whole(first.live.of("camera")[-1])
+        enough = all(len(point.live.of("camera")) > 5 for point in (first, second))
+        return enough and is_whole(first.live.of("camera")[-1])
 
     opened = asyncio.run(taken_in(one, points, done))
     (at,) = (at for at, source in opened.items() if isinstance(source.reader, CameraProcess))
