@@ -6,8 +6,10 @@
 
 use super::covariance::{B, Covariance, G, Kept, S, STATES, Span, T, V, Vector, X, dot};
 use super::events::{Code, Event};
+use super::improbable::Improbable;
 use super::noise::{self, Noise, Shown};
 use super::queue::{Queue, Reading};
+use super::repeats::Repeats;
 use super::rows::Row;
 use super::settings::Settings;
 use crate::Status;
@@ -25,13 +27,6 @@ const VELOCITY_STD: f64 = 0.3;
 const BIAS_STD: f64 = 0.3;
 /// Rows begin with this many accepted measurements.
 const FIRST_MEASUREMENTS: u8 = 8;
-/// This many improbable measurements of one sign in a row that lie on a line are no outliers.
-const SHIFTED: i8 = 4;
-/// They lie on a line where each is no further from that through the first and the one before, in the standard
-/// deviations of its distance.
-const MAX_OFF_LINE: f64 = 4.0;
-/// A value that was measured this many times in a row, of a sensor that resolves its noise, is no measurement any more.
-const FROZEN: u8 = 10;
 /// Rows end this long after a point was lost, s; what is begun anew after that long.
 pub const ROWS_LOST_S: f64 = 30.0;
 /// Where nothing was measured for longer, what the acceleration's gap hid can be anything: the filter begins anew, s.
@@ -49,11 +44,6 @@ const SLOWEST_HZ: f64 = 1.0;
 const TRUE_SPIKES: f64 = 0.01;
 /// A measurement of an instant this many samples before the last one is late.
 const LATE_STEPS: i64 = 2;
-
-/// Exponent of a number, of powers of two.
-fn exponent(value: f32) -> u8 {
-    (value.abs().to_bits() >> 23) as u8
-}
 
 /// What a point remembers besides what waits.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -75,10 +65,6 @@ pub struct Filter {
     step_ns: u32,
     #[serde(with = "postcard::fixint::le")]
     interval_steps: u16,
-    /// Exponent of the smallest change from one value of the displacement sensor to the next; 255: it never changed.
-    resolution: u8,
-    /// The displacement sensor's last value, m.
-    last_m: f32,
     /// τ and g.
     aside: [f32; 2],
     /// From the last accepted measurement to the anchor, s.
@@ -86,15 +72,13 @@ pub struct Filter {
     noise: Noise,
     /// Slope of the acceleration before the last sample, m/s³.
     slope: f32,
-    /// The first and the last one of the improbable innovations in a row, m.
-    improbable_m: [f32; 2],
+    improbable: Improbable,
     /// Mean square of the acceleration without its bias, (m/s²)².
     energy: f32,
     /// What a sample that waits to be confirmed was off by, m/s².
     unconfirmed: f32,
-    repeats: u8,
+    repeats: Repeats,
     accepted: u8,
-    improbable: i8,
     lost: bool,
 }
 
@@ -116,23 +100,20 @@ impl Filter {
             added: [0.0; 2],
             input: 0.0,
             slope: 0.0,
-            improbable_m: [0.0; 2],
+            improbable: Improbable::default(),
             at_ns: NEVER,
             anchor_ns: NEVER,
             stamped_ns: NEVER,
             step_ns: 0,
             interval_steps: 0,
-            resolution: u8::MAX,
-            last_m: 0.0,
             aside: [0.0; 2],
             age_s: 0.0,
             noise: Noise::new(settings),
             energy: (settings.acceleration_std_m_s2 * settings.acceleration_std_m_s2) as f32,
             unconfirmed: 0.0,
-            repeats: 0,
+            repeats: Repeats::default(),
             accepted: 0,
             lost: false,
-            improbable: 0,
         }
     }
 
@@ -199,7 +180,8 @@ impl Filter {
     fn begin(&mut self, sample: &Reading) {
         (self.at_ns, self.input, self.slope) = (sample.time_ns, sample.value, 0.0);
         self.step_ns = u32::try_from(sample.step_ns).unwrap_or(u32::MAX);
-        (self.accepted, self.improbable, self.unconfirmed) = (0, 0, 0.0);
+        (self.accepted, self.unconfirmed) = (0, 0.0);
+        self.improbable.end();
         self.mean[B] = sample.value;
     }
 
@@ -304,10 +286,13 @@ impl Filter {
 
     /// Takes a measurement whose instant lies in an interval.
     fn measure(&mut self, one: &Reading, interval: &Interval, settings: &Settings, out: &mut Vec<Event>) {
-        let is_frozen = self.is_frozen(one, settings, out);
+        let is_frozen = self.repeats.is_frozen(one.value, self.stamped_ns == NEVER, settings.displacement_std_m);
         self.stamped_ns = one.time_ns;
         self.interval_steps = u16::try_from(one.step_ns / INTERVAL_STEP).unwrap_or(u16::MAX);
         if is_frozen {
+            if self.repeats.has_begun() {
+                out.push(Event { time_ns: one.time_ns, code: Code::Frozen });
+            }
             return;
         }
         let instant_ns = one.time_ns.saturating_sub(self.stamp_of(0));
@@ -324,27 +309,6 @@ impl Filter {
         } else {
             self.correct(one, at_ns, interval, settings, out);
         }
-    }
-
-    /// Whether a value is repeated although the sensor resolves its own noise. Of one that does not, as a coarse one on a
-    /// structure that rests, a repeated value is a measurement, and improbable where the structure moves.
-    fn is_frozen(&mut self, measurement: &Reading, settings: &Settings, out: &mut Vec<Event>) -> bool {
-        let value = measurement.value as f32;
-        if value == self.last_m {
-            self.repeats = self.repeats.saturating_add(1);
-        } else {
-            // The first value has none before it.
-            if self.stamped_ns != NEVER {
-                self.resolution = self.resolution.min(exponent(value - self.last_m));
-            }
-            (self.last_m, self.repeats) = (value, 0);
-        }
-        // One that never changed may not measure at all.
-        let is_fine = self.resolution == u8::MAX || self.resolution < exponent(settings.displacement_std_m as f32);
-        if is_fine && self.repeats == FROZEN {
-            out.push(Event { time_ns: measurement.time_ns, code: Code::Frozen });
-        }
-        is_fine && self.repeats >= FROZEN
     }
 
     /// The state at the first measurement.
@@ -379,7 +343,7 @@ impl Filter {
         let mut predicted = dot(&h, &ph);
         let mut variance = predicted + white;
         let mut share =
-            if settings.as_stated { 1.0 } else { noise::sound_share(innovation, variance, self.improbable != 0) };
+            if settings.as_stated { 1.0 } else { noise::sound_share(innovation, variance, self.improbable.is_begun()) };
         let mut shown = Shown {
             innovation,
             variance,
@@ -390,12 +354,12 @@ impl Filter {
         };
         if share < 0.5 {
             // A value that comes again is no second measurement of a shifted zero.
-            if self.repeats > 0 || !self.is_shifted(innovation, white) {
+            if self.repeats.is_repeated() || !self.improbable.is_shift(innovation, white) {
                 self.covariance = p.kept();
                 self.noise.follow(&shown, settings);
                 return;
             }
-            self.improbable = 0;
+            self.improbable.end();
             if self.accepted < FIRST_MEASUREMENTS {
                 self.accepted = 0;
                 return;
@@ -415,7 +379,8 @@ impl Filter {
         self.aside[1] = (f64::from(self.aside[1]) + by * ph[G]).clamp(-0.5, 0.5) as f32;
         let spread = (share * (1.0 - share) * innovation * innovation - share * variance) / (variance * variance);
         self.covariance = p.with(spread, &ph).kept();
-        (self.age_s, self.improbable) = (0.0, 0);
+        self.age_s = 0.0;
+        self.improbable.end();
         self.accepted = self.accepted.saturating_add(1);
         if self.accepted >= FIRST_MEASUREMENTS && !settings.as_stated {
             let residual = innovation - by * predicted;
@@ -424,27 +389,12 @@ impl Filter {
         }
     }
 
-    /// Whether enough improbable innovations have come in a row that lie on a line, which outliers do not.
-    fn is_shifted(&mut self, innovation: f64, white_m2: f64) -> bool {
-        let sign = if innovation > 0.0 { 1 } else { -1 };
-        let [first, last] = self.improbable_m.map(f64::from);
-        let steps = f64::from(self.improbable.abs()) - 1.0;
-        let share = if steps > 0.0 { 1.0 / steps } else { 0.0 };
-        let off = innovation - last - share * (last - first);
-        let variance = (1.0 + (1.0 + share).powi(2) + share * share) * white_m2;
-        let on_line = steps < 1.0 || off * off <= MAX_OFF_LINE * MAX_OFF_LINE * variance;
-        let goes_on = self.improbable * sign > 0 && on_line;
-        self.improbable = if goes_on { self.improbable + sign } else { sign };
-        self.improbable_m = [if goes_on { first } else { innovation }, innovation].map(|m| m as f32);
-        self.improbable.abs() >= SHIFTED
-    }
-
     /// The covariance where the displacement is not what it was by `off` metres. Where the innovations do not grow, the
     /// sensor's zero has shifted, and may do so again; else the velocity is wrong.
     fn shifted(&mut self, mut p: Covariance, off: f64, settings: &Settings) -> Covariance {
         let square = off * off;
         p.0[X][X] += square;
-        if (off - f64::from(self.improbable_m[0])).abs() < 0.5 * off.abs() {
+        if self.improbable.growth_m(off).abs() < 0.5 * off.abs() {
             p.0[S][S] += square;
             self.noise.shifted(square, settings);
         } else {

@@ -3,8 +3,10 @@
 pub mod covariance;
 pub mod events;
 pub mod filter;
+pub mod improbable;
 pub mod noise;
 pub mod queue;
+pub mod repeats;
 pub mod rounding;
 pub mod rows;
 pub mod settings;
