@@ -5,6 +5,7 @@ import pytest
 
 from midspan.records import NANOSECONDS
 from midspan.service.pace import ClockDrift, Pace
+from midspan.service.running import Stream
 
 T0 = 1_790_000_000 * NANOSECONDS
 # What an offset is relative to: an opening, and what was set, s.
@@ -87,3 +88,16 @@ def test_what_comes_seldom_has_a_rate(interval_s, values):
         pace.came(s(interval_s * number), values, s(interval_s * number + 0.1))
         # The first two records tell the interval.
         assert number < 2 or pace.rate_hz == pytest.approx(values / interval_s, rel=1e-6)
+
+
+@pytest.mark.parametrize("blocks", [1, 2, 20])
+def test_an_outage_of_an_hour_does_not_make_a_source_look_fresh_later(blocks):
+    stream = Stream("p", "accelerometer", "mqtt:b/acceleration", reason="")
+    arrivals_s = [*range(blocks), *range(3600, 3603)]
+    for now_s in arrivals_s:
+        stream.heard(float(now_s), s(now_s), 100)
+        assert stream.why(float(now_s)) == ""
+    # Three of its intervals, of which the first one may be the outage's: a minute at most.
+    assert stream.why(3602.0 + 181.0) == "silent"
+    if blocks == 20:
+        assert stream.why(3602.0 + 10.0) == "silent"

@@ -11,15 +11,10 @@ from midspan.engine.point import PointStatus
 from midspan.records import Floats, GroupRows, Nanoseconds
 from midspan.service.group_messages import FIELDS
 from midspan.service.live_socket import ROW
+from midspan.service.pace import AVERAGED, FRESH_INTERVALS, FRESH_S, MAX_FIRST_S
 from midspan.service.reasons import sentence
 from midspan.sources.live.blocks import RESULT, VERSION
 
-# Without a block for so long, and for this many of its usual intervals, a sensor is silent; without a row, a point.
-FRESH_S, FRESH_INTERVALS = 5.0, 3.0
-# The usual interval is averaged over about this many arrivals.
-AVERAGED = 8.0
-# The first interval counts as no more than this, s: it may be an outage's.
-MAX_FIRST_S = 60.0
 # Of neither a reason nor a status.
 UNPUBLISHED = 255
 # Why a point gives no rows that can be relied on, as codes of the documentation's table.

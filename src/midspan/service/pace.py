@@ -12,6 +12,11 @@ MARKS, MARK_NS = 10, NANOSECONDS
 # Stamps further apart than those ten seconds are a gap, unless the two before were a third as far apart or further:
 # then records come so seldom.
 GAP_INTERVALS = 3
+# A sensor that brings nothing for so long, and for this many of its usual intervals, is silent; a point without rows.
+FRESH_S, FRESH_INTERVALS = 5.0, 3.0
+# The usual interval is averaged over about this many arrivals; the first one counts as no more than this, s: it may be
+# an outage's.
+AVERAGED, MAX_FIRST_S = 8, 60.0
 
 
 @dataclass(frozen=True, slots=True)

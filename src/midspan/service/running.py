@@ -18,7 +18,7 @@ from midspan.records import NANOSECONDS, RangeFrame
 from midspan.service.camera_process import CameraFeed
 from midspan.service.capture import capture_settings
 from midspan.service.mqtt import MAX_QUEUED
-from midspan.service.pace import ClockDrift, Pace
+from midspan.service.pace import AVERAGED, FRESH_INTERVALS, FRESH_S, MAX_FIRST_S, ClockDrift, Pace
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.replayed import radar_info
@@ -30,10 +30,6 @@ from midspan.sources.live.blocks import SEQUENCES, Block
 from midspan.sources.live.radar import live_info
 from midspan.sources.radar.ti_config import read_settings
 
-# A stream that brings nothing for so long, and for this many of its usual intervals, is not fresh.
-FRESH_S, FRESH_INTERVALS = 5.0, 3.0
-# The usual interval is averaged over about this many records.
-AVERAGED = 8
 # Blocks that are remembered, so that one that comes again is known: 25 s of ten blocks a second.
 RECENT = 256
 # A fault that goes on is an event so often, s.
@@ -102,9 +98,13 @@ class Stream:
 
     def why(self, now_s: float) -> str:
         """Why it brings nothing now, as a code; empty where it does."""
-        fresh_s = max(FRESH_S, FRESH_INTERVALS * self.interval_s)
-        is_silent = self.heard_s is not None and now_s - self.heard_s > fresh_s
+        is_silent = self.heard_s is not None and now_s - self.heard_s > self._fresh_s
         return "paused" if self.paused else self.reason or ("silent" if is_silent else "")
+
+    @property
+    def _fresh_s(self) -> float:
+        """For how long its newest record is fresh."""
+        return max(FRESH_S, FRESH_INTERVALS * self.interval_s)
 
     def heard(self, now_s: float, newest_ns: int, values: int) -> None:
         """A record came, of this many values, the newest of which has this stamp."""
@@ -112,7 +112,10 @@ class Stream:
         if self.failed:
             self.failed, self.restarts = False, self.restarts + (self.records > 0)
         if self.heard_s is not None and self.records:
-            self.interval_s += (max(now_s - self.heard_s, 0.0) - self.interval_s) / min(self.records, AVERAGED)
+            # An outage counts as much as is still fresh.
+            longest_s = self._fresh_s if self.records > 1 else MAX_FIRST_S
+            passed_s = min(max(now_s - self.heard_s, 0.0), longest_s)
+            self.interval_s += (passed_s - self.interval_s) / min(self.records, AVERAGED)
         self.heard_s, self.records = now_s, self.records + 1
 
     def resumed(self, now_s: float) -> None:
